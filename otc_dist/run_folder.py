@@ -1,0 +1,61 @@
+"""The run folder: one place that names every file of a run."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths of a run's files.
+
+    description.toml                 the resolved description
+    run.json                         command line, versions, start, state
+    deployments/deployment_01.mcap   one log a deployment, written by the env host
+    evaluations/evaluation_00.json   greedy returns of pi_0, pi_1, ..., written by the env host
+    agents/agent_0/                  one learner's own: checkpoints and metrics.jsonl
+    output/                          what each process printed
+    results.json, report.html        written at the end
+    """
+
+    root: Path
+
+    @property
+    def description(self) -> Path:
+        return self.root / "description.toml"
+
+    @property
+    def run_json(self) -> Path:
+        return self.root / "run.json"
+
+    @property
+    def results(self) -> Path:
+        return self.root / "results.json"
+
+    @property
+    def report(self) -> Path:
+        return self.root / "report.html"
+
+    def deployment(self, k: int) -> Path:
+        """Log of deployment k = 1..K; while it is being written, `.mcap.partial` is appended."""
+        return self.root / "deployments" / f"deployment_{k:02d}.mcap"
+
+    def evaluation(self, k: int) -> Path:
+        """Greedy returns of the team pi_k, k = 0..K."""
+        return self.root / "evaluations" / f"evaluation_{k:02d}.json"
+
+    def agent(self, name: str) -> Path:
+        return self.root / "agents" / name
+
+    def checkpoint(self, name: str, k: int) -> Path:
+        """Checkpoint of agent `name` after tuning on deployment k (0: after offline training)."""
+        return self.agent(name) / f"checkpoint_{k:02d}.safetensors"
+
+    def offline_checkpoint(self, name: str) -> Path:
+        """Newest unfinished state of offline training."""
+        return self.agent(name) / "offline.safetensors"
+
+    def metrics(self, name: str) -> Path:
+        return self.agent(name) / "metrics.jsonl"
+
+    def output(self, process: str) -> Path:
+        return self.root / "output" / f"{process}.log"

@@ -1,0 +1,141 @@
+"""Transitions: the one data type that flows from environments to logs, data sets and learners.
+
+`JointStep` is what the env host sees (all agents), `Transitions` is what one agent may see
+(its own), and `ReplayBuffer` is where a learner keeps them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class JointStep:
+    """One lock-step of E environment copies and N agents, as the env host sees and logs it.
+
+    Tuples are indexed by agent, arrays by environment copy. `next_observations` are the true
+    successors s', also where an episode ended and the copy was reset afterwards.
+    """
+
+    step: int
+    observations: tuple[Float32, ...]  # N x (E, observation_size)
+    actions: tuple[Float32, ...]  # N x (E, action_size), as the agents sent them
+    rewards: tuple[Float32, ...]  # N x (E,)
+    next_observations: tuple[Float32, ...]  # N x (E, observation_size)
+    terminated: Bool  # (E,)  the task ended here: V(s') = 0
+    truncated: Bool  # (E,)  a time limit ended the episode: V(s') is not 0
+    exploring: tuple[bool, ...]  # N: behaviour tag, True where the agent explored
+    episode_seeds: NDArray[np.int64]  # (E,) seed of the episode that this step belongs to
+    state: Float64  # (E, state_size) simulator state before the step
+
+    def of_agent(self, index: int) -> "Transitions":
+        """The E transitions that agent `index` may see: its own, and nothing of the others."""
+        return Transitions(
+            self.observations[index],
+            self.actions[index],
+            self.rewards[index],
+            self.next_observations[index],
+            self.terminated,
+            self.truncated,
+        )
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """N transitions <s, a_i, r, s'> of one agent, with their ends. s' is the true successor."""
+
+    observations: Float32  # (N, observation_size)
+    actions: Float32  # (N, action_size)
+    rewards: Float32  # (N,)
+    next_observations: Float32  # (N, observation_size)
+    terminated: Bool  # (N,)
+    truncated: Bool  # (N,)
+
+    def __len__(self) -> int:
+        return len(self.rewards)
+
+    def __getitem__(self, rows: slice | NDArray[np.int64]) -> Self:
+        return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Transitions"]) -> Self:
+        """Join at least one part, in order."""
+        return cls(
+            *(np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(cls))
+        )
+
+
+@dataclass(frozen=True)
+class RowLayout:
+    """Where each field lies in a packed float32 row: s | a_i | r | s' | terminated.
+
+    One row is one contiguous gather, instead of five.
+    """
+
+    observation_size: int
+    action_size: int
+
+    @property
+    def width(self) -> int:
+        return 2 * self.observation_size + self.action_size + 2
+
+    @property
+    def observation(self) -> slice:
+        return slice(0, self.observation_size)
+
+    @property
+    def action(self) -> slice:
+        return slice(self.observation_size, self.observation_size + self.action_size)
+
+    @property
+    def reward(self) -> int:
+        return self.observation_size + self.action_size
+
+    @property
+    def next_observation(self) -> slice:
+        return slice(self.reward + 1, self.reward + 1 + self.observation_size)
+
+    @property
+    def terminated(self) -> int:
+        return self.width - 1
+
+
+class ReplayBuffer:
+    """B_k: the offline data set B_0 followed by D_1 .. D_k, as packed float32 rows.
+
+    Memory is taken once, at construction, for B_0 and all the deployments to come.
+
+    Raises:
+        ValueError: more transitions than `capacity`, or a value that is not finite.
+    """
+
+    def __init__(self, layout: RowLayout, capacity: int) -> None:
+        self.layout = layout
+        self.rows = np.empty((capacity, layout.width), dtype=np.float32)
+        self.size = 0
+        self.offline_size = 0
+        self.newest_start = 0  # where D_k, the newest deployment's data, begins
+
+    def append(self, data: Transitions, *, offline: bool) -> None:
+        """Merge a data set (line 5 of Algorithm 1): B_k = B_{k-1} + D_k."""
+        end = self.size + len(data)
+        if end > len(self.rows):
+            raise ValueError(f"{end} transitions do not fit into {len(self.rows)} rows")
+        layout, rows = self.layout, self.rows[self.size : end]
+        rows[:, layout.observation] = data.observations
+        rows[:, layout.action] = data.actions
+        rows[:, layout.reward] = data.rewards
+        rows[:, layout.next_observation] = data.next_observations
+        rows[:, layout.terminated] = data.terminated
+        if not np.isfinite(rows).all():
+            raise ValueError("a transition holds a value that is not finite (NaN or infinity)")
+        self.newest_start, self.size = self.size, end
+        if offline:
+            self.offline_size = end
