@@ -1,0 +1,20 @@
+"""`python -m otc_dist.launch`: the first word may name a command; without one, it is `run`."""
+
+import importlib
+
+from otc_dist.errors import run_main
+
+# Command -> the module beside this one whose `main(argv)` it is; imported only when asked for.
+COMMANDS = {"run": ".run_command"}
+
+
+def main(argv: list[str]) -> int:
+    """Run a command; returns the exit status. Raises UserError for the user's mistakes."""
+    command = argv[0] if argv and argv[0] in COMMANDS else "run"
+    arguments = argv[1:] if argv and argv[0] == command else argv
+    status: int = importlib.import_module(COMMANDS[command], __package__).main(arguments)
+    return status
+
+
+if __name__ == "__main__":
+    run_main(main)

@@ -1,0 +1,81 @@
+"""What the launcher knows of a run from the processes' status messages: no drawing here."""
+
+from dataclasses import dataclass, field
+
+from otc_dist.bus.messages import Status
+
+from .forecast import Remaining
+
+HOST = "host"
+
+
+@dataclass
+class Board:
+    """The newest status of every process, and what has happened, in the order it happened."""
+
+    agents: tuple[str, ...]
+    remaining: Remaining
+    newest: dict[str, Status] = field(default_factory=dict)
+    measures: dict[str, dict[str, float]] = field(default_factory=dict)  # agent -> last of each
+    events: list[str] = field(default_factory=list)
+    seconds_left: float | None = None
+
+    def take(self, status: Status, clock: float) -> None:
+        """Note a status that arrived at `clock` seconds."""
+        before = self.newest.get(status.process)
+        self.newest[status.process] = status
+        measures = self.measures.setdefault(status.process, {})
+        appeared = {
+            name: value for name, value in status.metrics.items() if measures.get(name) != value
+        }
+        measures.update(status.metrics)
+        if before is None or (before.phase, before.deployment) != (status.phase, status.deployment):
+            self.events.append(f"{status.process}: {place(status)}")
+        if "alpha" in appeared:
+            self.events.append(f"{status.process}: {alpha_line(measures)}")
+        if "return" in appeared:
+            self.events.append(f"{status.process}: return {appeared['return']:.1f}")
+        slowest = self._slowest()
+        if slowest is not None:
+            share = slowest.update / slowest.total if slowest.total else 0.0
+            self.seconds_left = self.remaining.seconds(
+                slowest.phase, slowest.deployment, share, clock
+            )
+
+    def drain_events(self) -> list[str]:
+        """The events since the last call."""
+        events, self.events = self.events, []
+        return events
+
+    def _slowest(self) -> Status | None:
+        """Who the others wait for: the agent that has trained least, or the host."""
+        training = [
+            self.newest[name]
+            for name in self.agents
+            if name in self.newest and self.newest[name].phase in TRAINING
+        ]
+        if training:
+            return min(
+                training,
+                key=lambda s: (s.deployment, TRAINING.index(s.phase), s.update / max(s.total, 1)),
+            )
+        return self.newest.get(HOST)
+
+
+TRAINING = ("embedding", "offline", "tuning")
+
+
+def place(status: Status) -> str:
+    """Where a process is: `tuning after deployment 2`, `offline`."""
+    if status.phase == "tuning":
+        return f"tuning after deployment {status.deployment}"
+    if status.phase == "evaluation":
+        return f"evaluation of policy {status.deployment}"
+    return f"{status.phase} {status.deployment}" if status.deployment else status.phase
+
+
+def alpha_line(measures: dict[str, float]) -> str:
+    """Eq. 4's outcome: alpha and the similarity D of the newest data to B_0."""
+    similarity = measures.get("similarity")
+    shown = f", 𝔻 {similarity:.3f}" if similarity is not None else ""
+    return f"alpha {measures['alpha']:.3f}{shown}"

@@ -1,0 +1,58 @@
+"""Fixes what a description leaves open, so that a run depends on nothing but its description."""
+
+import math
+import subprocess
+import sys
+
+from otc_dist.datasets import store
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+
+# In a process of its own: importing torch takes seconds and memory that the launcher never needs.
+_ASK_ENGINE = """
+import sys
+from otc_dist import engine
+from otc_dist.errors import run_main
+run_main(lambda argv: print(engine.resolve(argv[0], int(argv[1]))) or 0)
+"""
+
+
+def resolve(description: Description) -> Description:
+    """A copy with dataset.transitions, deployment.transitions (M) and engine.name fixed.
+
+    M is rounded up to a multiple of env.copies, since every copy contributes equally.
+
+    Raises:
+        UserError: an unknown data set, or an engine that this machine cannot run.
+    """
+    transitions = description.dataset.transitions or store.usual_size(description.dataset.name)
+    copies = description.env.copies
+    wanted = description.deployment.transitions or description.deployment.fraction * transitions
+    deployed = math.ceil(max(wanted, 1) / copies) * copies
+    return description.with_assignments(
+        f"dataset.transitions={transitions}",
+        f"deployment.transitions={deployed}",
+        f"engine.name={_engine(description)}",
+    )
+
+
+def total_updates(description: Description) -> int:
+    """Updates of one agent's base algorithm in the whole run."""
+    return description.offline.updates + description.deployment.count * description.deployment.updates
+
+
+def _engine(description: Description) -> str:
+    name = description.engine.name
+    if name == "eager":  # runs everywhere
+        return name
+    asked = subprocess.run(
+        [sys.executable, "-c", _ASK_ENGINE, name, str(total_updates(description))],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if asked.returncode != 0:
+        lines = asked.stderr.strip().splitlines() or ["no output"]
+        raise UserError(f"cannot choose an engine: {lines[-1].removeprefix('error: ')}")
+    return asked.stdout.strip()

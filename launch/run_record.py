@@ -1,0 +1,171 @@
+"""run.json and the lock: what a run is, where it stands, and who may go on with it."""
+
+import fcntl
+import hashlib
+import json
+import os
+import platform
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Literal, Self
+
+from otc_dist import __version__
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+from otc_dist.run_folder import RunFolder
+
+State = Literal["running", "stopped", "failed", "finished"]
+# What can change a run's bits. A run goes on only with the versions that it began with.
+PACKAGES = ("torch", "mujoco", "numpy", "scipy", "eclipse-zenoh", "mcap")
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """The contents of run.json."""
+
+    run: str  # the run's name on the bus
+    description: str  # digest of description.toml
+    command: list[str]
+    versions: dict[str, str]
+    started: str  # UTC, ISO 8601
+    state: State = "running"
+    quick: bool = False
+    resumed: tuple[str, ...] = ()  # when --resume went on with it
+
+    def write(self, folder: RunFolder) -> None:
+        """Replace run.json in one step."""
+        partial = folder.run_json.with_suffix(".json.partial")
+        partial.write_text(json.dumps(asdict(self), indent=2) + "\n", encoding="utf-8")
+        partial.replace(folder.run_json)
+
+    def moved_to(self, state: State, folder: RunFolder) -> Self:
+        """The record with another state, written."""
+        record = replace(self, state=state)
+        record.write(folder)
+        return record
+
+    @classmethod
+    def read(cls, folder: RunFolder) -> Self:
+        """Raises UserError if the folder is no run's, or its run.json is damaged."""
+        try:
+            fields = json.loads(folder.run_json.read_text(encoding="utf-8"))
+            return cls(**{**fields, "resumed": tuple(fields["resumed"])})
+        except FileNotFoundError:
+            raise UserError(f"{folder.root} is no run folder: it has no run.json") from None
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise UserError(f"{folder.run_json} is damaged: {error}") from None
+
+
+def versions() -> dict[str, str]:
+    """Package -> version of everything that a run's bits depend on."""
+    found = {"python": platform.python_version(), "otc-dist": __version__}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def create(folder: RunFolder, description: Description, quick: bool) -> RunRecord:
+    """Write a new run's description.toml and run.json."""
+    started = _now()
+    # Part of the bus's keys, where no wildcard or slash may stand; told apart by place and time,
+    # should two runs of one name meet on a shared router.
+    plain = re.sub(r"[^A-Za-z0-9_.-]", "_", folder.root.name)
+    digest = hashlib.blake2b(f"{folder.root}{started}".encode(), digest_size=3).hexdigest()
+    record = RunRecord(
+        run=f"{plain}-{digest}",
+        description=description.digest(),
+        command=["python", "-m", "otc_dist.launch", *sys.argv[1:]],
+        versions=versions(),
+        started=started,
+        quick=quick,
+    )
+    folder.description.write_text(description.to_toml(), encoding="utf-8")
+    record.write(folder)
+    return record
+
+
+def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
+    """The record and description of a run to go on with, marked as running again.
+
+    Raises:
+        UserError: no run folder; finished already; another description or other versions now.
+    """
+    record = RunRecord.read(folder)
+    if record.state == "finished":
+        raise UserError(f"{folder.root} is finished; its report is {folder.report}")
+    description = Description.load(folder.description)
+    if description.digest() != record.description:
+        raise UserError(
+            f"{folder.description} has changed since the run began; restore it, or start a new run"
+        )
+    now = versions()
+    for package, before in record.versions.items():
+        if now.get(package) != before:
+            raise UserError(
+                f"{folder.root} was begun with {package} {before}, and this is"
+                f" {now.get(package, 'unknown')}: the result would be neither's;"
+                f" install {before} or start a new run"
+            )
+    record = replace(record, resumed=(*record.resumed, _now()))
+    return record.moved_to("running", folder), description
+
+
+@contextmanager
+def locked(folder: RunFolder) -> Iterator[None]:
+    """Hold the run folder against other launchers; the kernel lets go if this one dies.
+
+    Raises:
+        UserError: another launcher holds it.
+    """
+    descriptor = os.open(folder.root / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise UserError(f"another launcher is at work in {folder.root}") from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def make_folder(out: Path, needed: int) -> RunFolder:
+    """Make a new run's folder, with room for `needed` bytes.
+
+    Raises:
+        UserError: it exists and is not empty, cannot be written, or the disk is too full.
+    """
+    folder = RunFolder(out.resolve())
+    try:
+        if folder.root.exists() and any(folder.root.iterdir()):
+            hint = f"--resume {out}, or " if folder.run_json.exists() else ""
+            raise UserError(f"{out} exists already; use {hint}another --out")
+        folder.root.mkdir(parents=True, exist_ok=True)
+        room = os.statvfs(folder.root)
+        if not os.access(folder.root, os.W_OK):
+            raise UserError(f"cannot write to {out}: permission denied")
+    except OSError as error:
+        raise UserError(f"cannot make the run folder {out}: {error.strerror}") from None
+    free = room.f_bavail * room.f_frsize
+    if free < needed:
+        raise UserError(
+            f"no disk space at {out}: about {_megabytes(needed)} are needed,"
+            f" {_megabytes(free)} are free"
+        )
+    return folder
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:,.0f} MB"

@@ -1,0 +1,152 @@
+"""Starts processes, notices their ends, stops them, and leaves none behind."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from .signals import Signals
+
+GRACE = 10.0  # seconds between SIGTERM and SIGKILL
+_PR_SET_PDEATHSIG = 1
+
+# One thread each: several learners share the cores, and results do not depend on their number.
+ONE_THREAD = {
+    name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+}
+
+
+@dataclass(frozen=True)
+class End:
+    """How a process ended: `status` as in subprocess (negative: killed by that signal)."""
+
+    process: str
+    status: int
+    output: Path | None
+
+    @property
+    def manner(self) -> str:
+        """In words: `exited with status 1`, `was killed by SIGKILL`."""
+        if self.status >= 0:
+            return f"exited with status {self.status}"
+        return f"was killed by {signal.Signals(-self.status).name}"
+
+    def last_lines(self, count: int = 15) -> list[str]:
+        """What it printed last."""
+        if self.output is None or not self.output.exists():
+            return []
+        return self.output.read_text(encoding="utf-8", errors="replace").splitlines()[-count:]
+
+
+@dataclass(frozen=True)
+class _Child:
+    handle: subprocess.Popen[bytes]
+    output: Path | None
+
+
+class Supervisor:
+    """The processes of one launcher. Leaving its context stops whatever still runs.
+
+    Each is the leader of its own process group, so that a Ctrl-C at the terminal reaches only
+    the launcher, which then stops them in order, and so that a stop reaches their children too.
+    On Linux the kernel kills them when the launcher dies, however it dies.
+    """
+
+    def __init__(self, signals: Signals) -> None:
+        self._signals = signals
+        self._running: dict[str, _Child] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    @property
+    def running(self) -> tuple[str, ...]:
+        """Names of the processes that have not ended, in the order of their starts."""
+        return tuple(self._running)
+
+    def start(
+        self,
+        name: str,
+        command: Sequence[str],
+        output: Path | None = None,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        """Start a process; what it prints is appended to `output` (None: shown as it comes).
+
+        Must be called from the main thread: the kernel's death signal is tied to the thread.
+        """
+        sink = None
+        if output is not None:
+            output.parent.mkdir(parents=True, exist_ok=True)
+            sink = output.open("ab")
+        try:
+            handle = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=sink,
+                stderr=subprocess.STDOUT if sink else None,
+                env={**os.environ, **ONE_THREAD, "PYTHONUNBUFFERED": "1", **(environment or {})},
+                process_group=0,
+                preexec_fn=_die_with(os.getpid()) if sys.platform == "linux" else None,
+            )
+        finally:
+            if sink is not None:
+                sink.close()
+        self._running[name] = _Child(handle, output)
+
+    def ended(self) -> list[End]:
+        """The processes that ended since the last call."""
+        ends = []
+        for name, child in list(self._running.items()):
+            status = child.handle.poll()
+            if status is not None:
+                del self._running[name]
+                _signal_group(child.handle.pid, signal.SIGKILL)  # whatever it started itself
+                ends.append(End(name, status, child.output))
+        return ends
+
+    def stop(self) -> list[End]:
+        """SIGTERM to all, last started first; SIGKILL after GRACE seconds or if the user insists."""
+        for child in reversed(self._running.values()):
+            _signal_group(child.handle.pid, signal.SIGTERM)
+        ends: list[End] = []
+        deadline = time.monotonic() + GRACE
+        while self._running and time.monotonic() < deadline and not self._signals.repeated:
+            ends += self.ended()
+            if self._running:
+                self._signals.wait(0.2)
+        for child in self._running.values():
+            _signal_group(child.handle.pid, signal.SIGKILL)
+            child.handle.wait()
+        return ends + self.ended()
+
+
+def _signal_group(leader: int, number: signal.Signals) -> None:
+    try:
+        os.killpg(leader, number)
+    except ProcessLookupError:
+        pass  # all of it has ended already
+
+
+def _die_with(parent: int) -> Callable[[], None]:
+    """What the child does between fork and exec: ask the kernel to end it with its parent."""
+    prctl = ctypes.CDLL(None, use_errno=True).prctl  # looked up before the fork
+
+    def arrange() -> None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # the launcher died before the line above
+            os._exit(1)
+
+    return arrange
