@@ -1,0 +1,1 @@
+"""Environments: batched multi-agent environments that the env host steps in lock-step."""

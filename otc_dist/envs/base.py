@@ -1,0 +1,107 @@
+"""The interface of every environment: E copies of one multi-agent task that step together."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otc_dist.spec import TeamSpec
+from otc_dist.transitions import Bool, Float32, Float64
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one step of E copies and N agents brought. The arrays belong to the caller."""
+
+    rewards: tuple[Float32, ...]  # N x (E,)
+    terminated: Bool  # (E,)  the task ended
+    truncated: Bool  # (E,)  the time limit was reached and the task had not ended
+
+
+class BatchedEnv(Protocol):
+    """E copies of one multi-agent environment that step together.
+
+    A copy has no state before its first `reset`. Nothing resets by itself: who steps a copy past
+    its end gets what the simulator makes of it.
+    """
+
+    @property
+    def spec(self) -> TeamSpec:
+        """The team: names, sizes, bounds."""
+        ...
+
+    @property
+    def copies(self) -> int:
+        """E."""
+        ...
+
+    def reset(self, which: NDArray[np.int64], seeds: NDArray[np.int64]) -> None:
+        """Start a new episode in the copies `which` (n,), each from its own seed (n,) >= 0.
+
+        The initial state is a function of the seed alone, the same one as that of the task's
+        reference implementation (`gymnasium.Env.reset(seed=seed)` for the robots).
+        """
+        ...
+
+    def observe(self) -> tuple[Float32, ...]:
+        """Observations of the current states, N x (E, observation_size).
+
+        Freshly allocated at each call, so the caller may keep them. Agents that see the same
+        thing are given the same array: do not write into it.
+        """
+        ...
+
+    def step(self, actions: Sequence[Float32]) -> Outcome:
+        """Advance all copies by one step; `actions` is N x (E, action_size).
+
+        Actions are clipped to the agents' bounds first, and rewards are those of the clipped
+        actions.
+
+        Raises:
+            ValueError: an array of the wrong shape, or an action that is not finite. No copy has
+                moved then.
+        """
+        ...
+
+    def state(self) -> Float64:
+        """The simulator's full state, (E, state_size): what `set_state` needs to go on exactly."""
+        ...
+
+    def set_state(self, state: Float64) -> None:
+        """Continue all copies from `state` (E, state_size), so that steps can be repeated."""
+        ...
+
+    def close(self) -> None:
+        """Release the simulator."""
+        ...
+
+
+class JointActions:
+    """Checks the agents' actions, joins them to rows and clips them, in buffers used again."""
+
+    def __init__(self, spec: TeamSpec, copies: int) -> None:
+        self._names = spec.names
+        self._shapes = tuple((copies, agent.action_size) for agent in spec.agents)
+        self._low = np.array([x for agent in spec.agents for x in agent.action_low], np.float32)
+        self._high = np.array([x for agent in spec.agents for x in agent.action_high], np.float32)
+        self._rows = np.empty((copies, len(self._low)), np.float32)
+
+    def clipped(self, actions: Sequence[Float32]) -> Float32:
+        """The joint action (E, sum of action sizes); valid until the next call.
+
+        Raises:
+            ValueError: an array of the wrong shape, or an action that is not finite.
+        """
+        if len(actions) != len(self._shapes):
+            raise ValueError(f"{len(actions)} actions for {len(self._shapes)} agents")
+        start = 0
+        for name, shape, action in zip(self._names, self._shapes, actions, strict=True):
+            if action.shape != shape:
+                raise ValueError(f"the action of {name} has shape {action.shape}, not {shape}")
+            self._rows[:, start : start + shape[1]] = action
+            start += shape[1]
+        if not np.isfinite(self._rows).all():
+            raise ValueError("an action is not finite (NaN or infinity)")
+        return np.clip(self._rows, self._low, self._high, out=self._rows)

@@ -1,0 +1,132 @@
+"""Hopper, HalfCheetah and Walker2d over `mujoco.batch`, bit-equal to gymnasium's v4 tasks."""
+
+import os
+from collections.abc import Sequence
+from importlib import resources
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from otc_dist.envs.base import JointActions, Outcome
+from otc_dist.envs.robot_specs import PARTITIONS, Robot, team_spec
+from otc_dist.transitions import Bool, Float32, Float64
+
+# Below this number of copies a thread, handing work to the thread costs more than it saves.
+_COPIES_PER_THREAD = 32
+
+
+class RobotEnv:
+    """E copies of one robot, a `BatchedEnv`. All agents share one observation and one reward.
+
+    Raises:
+        KeyError: unknown `env_id`.
+        ValueError: fewer than one copy.
+    """
+
+    def __init__(self, env_id: str, copies: int) -> None:
+        if copies < 1:
+            raise ValueError(f"an environment needs at least one copy, not {copies}")
+        self.spec = team_spec(env_id)
+        self.copies = copies
+        self._robot, self._agents = PARTITIONS[env_id]
+        threads = max(1, min(os.cpu_count() or 1, copies // _COPIES_PER_THREAD))
+        model = load_model(self._robot)
+        self._batch = Batch(model, copies, nthread=threads)
+        # Live views of the simulations' states, (E, ...). Derived fields lag one substep behind
+        # and are never used.
+        self._qpos: Float64 = self._batch.bind("qpos")
+        self._qvel: Float64 = self._batch.bind("qvel")
+        self._warmstart: Float64 = self._batch.bind("qacc_warmstart")
+        self._ctrl: Float64 = self._batch.bind("ctrl")
+        self._initial_qpos: Float64 = model.qpos0.copy()
+        self._step_seconds = model.opt.timestep * self._robot.frame_skip
+        self._elapsed = np.zeros(copies, np.int64)
+        self._actions = JointActions(self.spec, copies)
+        self._before = np.empty(copies, np.float64)  # forward positions before the step, m
+        self._all_agents = range(self._agents)
+
+    def reset(self, which: NDArray[np.int64], seeds: NDArray[np.int64]) -> None:
+        """See `BatchedEnv.reset`; the same draws as gymnasium's `reset_model`."""
+        robot, scale = self._robot, self._robot.reset_scale
+        # int32 ids: what the simulator takes without converting them.
+        ids = np.asarray(which, np.int32)
+        self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        for copy, seed in zip(ids, seeds, strict=True):
+            rng = np.random.default_rng(int(seed))
+            noise = rng.uniform(-scale, scale, robot.joints)
+            self._qpos[copy] = self._initial_qpos + noise
+            if robot.reset_normal:
+                self._qvel[copy] = scale * rng.standard_normal(robot.joints)
+            else:
+                self._qvel[copy] = rng.uniform(-scale, scale, robot.joints)
+        # As gymnasium's set_state: the forward pass leaves the solver's warm start behind.
+        self._batch.forward(ids)
+        self._elapsed[ids] = 0
+
+    def observe(self) -> tuple[Float32, ...]:
+        """See `BatchedEnv.observe`: one array for all agents."""
+        robot = self._robot
+        observation = np.empty((self.copies, robot.observation_size), np.float32)
+        observation[:, : robot.joints - 1] = self._qpos[:, 1:]
+        velocity = observation[:, robot.joints - 1 :]
+        velocity[...] = self._qvel
+        if robot.velocity_clip is not None:
+            np.clip(velocity, -robot.velocity_clip, robot.velocity_clip, out=velocity)
+        return (observation,) * self._agents
+
+    def step(self, actions: Sequence[Float32]) -> Outcome:
+        """See `BatchedEnv.step`."""
+        robot = self._robot
+        action = self._actions.clipped(actions)
+        self._ctrl[...] = action
+        self._before[...] = self._qpos[:, 0]
+        self._batch.step(nstep=robot.frame_skip)
+        self._elapsed += 1
+        # The cost is summed in float32 and the rest in float64, as gymnasium does when it is
+        # given float32 actions.
+        cost = np.float32(robot.control_cost) * np.square(action).sum(axis=1)
+        velocity = (self._qpos[:, 0] - self._before) / self._step_seconds
+        reward = (velocity + robot.healthy_reward - cost).astype(np.float32)
+        terminated = self._fallen()
+        truncated = (self._elapsed >= self.spec.max_episode_steps) & ~terminated
+        return Outcome((reward,) * self._agents, terminated, truncated)
+
+    def _fallen(self) -> Bool:
+        health = self._robot.health
+        if health is None:
+            return np.zeros(self.copies, np.bool_)
+        height, angle = self._qpos[:, 1], self._qpos[:, 2]
+        healthy = (height > health.height[0]) & (height < health.height[1])
+        healthy &= (angle > health.angle[0]) & (angle < health.angle[1])
+        if health.limit is not None:
+            healthy &= (np.abs(self._qpos[:, 2:]) < health.limit).all(axis=1)
+            healthy &= (np.abs(self._qvel) < health.limit).all(axis=1)
+        return ~healthy
+
+    def state(self) -> Float64:
+        """See `BatchedEnv.state`: elapsed steps, qpos, qvel, the solver's warm start."""
+        elapsed = self._elapsed[:, None].astype(np.float64)
+        return np.concatenate((elapsed, self._qpos, self._qvel, self._warmstart), axis=1)
+
+    def set_state(self, state: Float64) -> None:
+        """See `BatchedEnv.set_state`. Raises ValueError for another shape."""
+        if state.shape != (self.copies, self.spec.state_size):
+            raise ValueError(
+                f"the state has shape {state.shape}, not {(self.copies, self.spec.state_size)}"
+            )
+        joints = self._robot.joints
+        self._elapsed[...] = state[:, 0]
+        self._qpos[...] = state[:, 1 : 1 + joints]
+        self._qvel[...] = state[:, 1 + joints : 1 + 2 * joints]
+        self._warmstart[...] = state[:, 1 + 2 * joints :]
+
+    def close(self) -> None:
+        """Nothing to release: the simulator's memory goes with the object."""
+
+
+def load_model(robot: Robot) -> mujoco.MjModel:
+    """Compile the robot's MJCF model, which is part of the package."""
+    source = resources.files("otc_dist.envs").joinpath("models", robot.model)
+    return mujoco.MjModel.from_xml_string(source.read_text(encoding="utf-8"))

@@ -1,0 +1,128 @@
+"""Playing a batched environment in lock-step, with every episode's seed known beforehand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otc_dist.envs.base import BatchedEnv
+from otc_dist.randomness import derive_seed
+from otc_dist.transitions import Float32, JointStep
+
+Phase = Literal["deployment", "evaluation"]
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A finished episode."""
+
+    copy: int
+    number: int  # 0 for the copy's first episode of this rollout
+    team_return: float  # mean over the agents of their sums of rewards
+    length: int  # steps
+
+
+class Rollout:
+    """E copies played in lock-step: deterministic autoreset, one `JointStep` per step.
+
+    A copy that ends is reset at once, to an episode whose seed is derived from (seed,
+    deployment, copy, episode). In an evaluation it is derived from (seed, copy, episode): all
+    deployments and all arms of a comparison are judged on the same episodes, and of each copy
+    only the first episode counts, because counting those that end in time favours short ones.
+
+    The same arguments and actions give the same bytes, so a rollout that was cut off is continued
+    by advancing a new one with the logged actions.
+    """
+
+    def __init__(self, env: BatchedEnv, seed: int, phase: Phase, deployment: int) -> None:
+        self._env, self._seed, self._phase, self._deployment = env, seed, phase, deployment
+        self.step = 0
+        self._numbers = np.zeros(env.copies, np.int64)  # which episode each copy is in
+        self._seeds = np.zeros(env.copies, np.int64)
+        self._returns = np.zeros(env.copies, np.float64)
+        self._lengths = np.zeros(env.copies, np.int64)
+        self._episodes: list[Episode] = []
+        self._reset(np.arange(env.copies))
+        # What the agents act on now, N x (E, observation_size). Read only: steps share it.
+        self.observations: tuple[Float32, ...] = env.observe()
+
+    def _reset(self, which: NDArray[np.int64]) -> None:
+        for copy in which.tolist():
+            number = int(self._numbers[copy])
+            if self._phase == "evaluation":
+                seed = derive_seed(self._seed, self._phase, copy, number)
+            else:
+                seed = derive_seed(self._seed, self._phase, self._deployment, copy, number)
+            self._seeds[copy] = seed
+        self._env.reset(which, self._seeds[which])
+
+    def advance(self, actions: Sequence[Float32], exploring: tuple[bool, ...]) -> JointStep:
+        """Step all copies with `actions`, N x (E, action_size), and reset those that ended.
+
+        Args:
+            actions: copied, as they were sent (the environment clips its own copy).
+            exploring: N behaviour tags, True where the agent explored.
+
+        Raises:
+            ValueError: an action of the wrong shape or not finite; nothing has moved then.
+        """
+        env, observations, state = self._env, self.observations, self._env.state()
+        outcome = env.step(actions)
+        successors = env.observe()
+        joint_step = JointStep(
+            step=self.step,
+            observations=observations,
+            actions=tuple(np.array(action, np.float32) for action in actions),
+            rewards=outcome.rewards,
+            next_observations=successors,
+            terminated=outcome.terminated,
+            truncated=outcome.truncated,
+            exploring=exploring,
+            episode_seeds=self._seeds.copy(),
+            state=state,
+        )
+        self.step += 1
+        self._returns += np.mean(outcome.rewards, axis=0, dtype=np.float64)
+        self._lengths += 1
+        ended = np.flatnonzero(outcome.terminated | outcome.truncated)
+        if len(ended):
+            self._finish(ended)
+            self.observations = env.observe()
+        else:
+            self.observations = successors
+        return joint_step
+
+    def _finish(self, ended: NDArray[np.int64]) -> None:
+        for copy in ended.tolist():
+            number = int(self._numbers[copy])
+            if number == 0 or self._phase == "deployment":
+                team_return, length = float(self._returns[copy]), int(self._lengths[copy])
+                self._episodes.append(Episode(copy, number, team_return, length))
+        self._numbers[ended] += 1
+        self._returns[ended] = 0.0
+        self._lengths[ended] = 0
+        self._reset(ended)
+
+    @property
+    def episodes(self) -> tuple[Episode, ...]:
+        """Episodes that count: of a deployment by (end, copy), of an evaluation by copy."""
+        if self._phase == "evaluation":
+            return tuple(sorted(self._episodes, key=lambda episode: episode.copy))
+        return tuple(self._episodes)
+
+    @property
+    def episode_returns(self) -> tuple[float, ...]:
+        """Team returns of `episodes`, in their order."""
+        return tuple(episode.team_return for episode in self.episodes)
+
+    @property
+    def episode_lengths(self) -> tuple[int, ...]:
+        """Lengths of `episodes` in steps, in their order."""
+        return tuple(episode.length for episode in self.episodes)
+
+    @property
+    def finished(self) -> bool:
+        """Whether every copy has ended its first episode: an evaluation is complete."""
+        return bool((self._numbers > 0).all())
