@@ -1,0 +1,127 @@
+"""Conducts a run: data, compilation, processes, live view, report, and a clear end of any kind."""
+
+import queue
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+
+from otc_dist import report
+from otc_dist.bus.messages import Status
+
+from . import descriptions
+from .board import HOST, Board
+from .forecast import Remaining
+from .observer import observe
+from .plan import Plan
+from .run_record import RunRecord
+from .signals import Signals
+from .supervisor import End, Supervisor
+from .view import View, open_view
+
+REFRESH = 0.5  # seconds between two looks at the statuses
+FAREWELL = 30.0  # seconds that the learners may take to end after the host has
+
+
+class _StoppedError(Exception):
+    """The user, or the system, asked the launcher to stop."""
+
+
+class _DiedError(Exception):
+    """A process ended that should not have."""
+
+    def __init__(self, end: End) -> None:
+        super().__init__(end.process)
+        self.end = end
+
+
+def conduct(plan: Plan, record: RunRecord) -> int:
+    """Run `plan` from wherever its folder stands to its end. Returns the exit status.
+
+    0: finished; 1: a process died; 2: a process met a mistake that the user can mend;
+    128 + n: stopped by signal n. In every case no process is left, and unless it finished,
+    the way to go on is printed.
+    """
+    resume = f"resume with: python -m otc_dist.launch --resume {shlex.quote(str(plan.folder.root))}"
+    title = plan.description.name
+    if record.quick:
+        title += f" ({descriptions.QUICK_LABEL})"
+    print(f"{title}: {plan.folder.root}", flush=True)
+    with Signals() as signals:
+        try:
+            with Supervisor(signals) as supervisor:
+                _prepare(plan, supervisor, signals)
+                with open_view(title) as view:
+                    _run(plan, record, supervisor, signals, view)
+            _report(plan, record)
+        except _StoppedError:
+            assert signals.stop is not None
+            record.moved_to("stopped", plan.folder)
+            print(f"stopped by {signals.stop.name}; {resume}")
+            return 128 + signals.stop
+        except _DiedError as died:
+            record.moved_to("failed", plan.folder)
+            _explain(died.end)
+            print(resume)
+            return 2 if died.end.status == 2 else 1
+    return 0
+
+
+def _prepare(plan: Plan, supervisor: Supervisor, signals: Signals) -> None:
+    """Make B_0 and compile the updates, each in a process of its own, unless done before."""
+    if not plan.data_is_cached:
+        _complete("data", plan.prepare_data, supervisor, signals)
+
+
+def _complete(
+    name: str, command: Sequence[str], supervisor: Supervisor, signals: Signals
+) -> None:
+    """Run a process, showing what it prints, until it has ended well."""
+    supervisor.start(name, command)
+    while name in supervisor.running:
+        if signals.stop:
+            raise _StoppedError
+        signals.wait(REFRESH)
+        for end in supervisor.ended():
+            if end.status != 0:
+                raise _DiedError(end)
+
+
+def _run(
+    plan: Plan, record: RunRecord, supervisor: Supervisor, signals: Signals, view: View
+) -> None:
+    """Start all processes and show them until all have ended well."""
+    for process in plan.processes:
+        supervisor.start(process.name, process.command, plan.folder.output(process.name))
+    board = Board(plan.spec.names, Remaining(plan.parts))
+    statuses: queue.SimpleQueue[Status] = queue.SimpleQueue()
+    over: float | None = None  # when the host ended
+    with observe(plan.folder, record.run, statuses.put):
+        while supervisor.running:
+            signals.wait(REFRESH)
+            while not statuses.empty():
+                board.take(statuses.get(), time.monotonic())
+            view.show(board)
+            if signals.stop:
+                raise _StoppedError
+            for end in supervisor.ended():
+                if end.status != 0:
+                    raise _DiedError(end)
+                if end.process == HOST:
+                    over = time.monotonic()
+            if over is not None and time.monotonic() > over + FAREWELL:
+                names = ", ".join(supervisor.running)
+                view.say(f"{names} did not end {FAREWELL:.0f} s after the host: stopped")
+                supervisor.stop()
+
+
+def _explain(end: End) -> None:
+    lines = end.last_lines()
+    if end.status == 2 and lines and lines[-1].startswith("error: "):
+        print(f"error: {end.process}: {lines[-1].removeprefix('error: ')}", file=sys.stderr)
+        return
+    print(f"error: {end.process} {end.manner}; all others were stopped", file=sys.stderr)
+    if lines:
+        print(f"its last lines ({end.output}):", file=sys.stderr)
+        for line in lines:
+            print(f"  {line}", file=sys.stderr)

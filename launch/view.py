@@ -1,0 +1,117 @@
+"""What the user sees while a run goes: a live table on a terminal, lines otherwise."""
+
+import sys
+import time
+from types import TracebackType
+from typing import Protocol, Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from . import forecast
+from .board import Board, place
+
+LINE_EVERY = 5.0  # seconds between two progress lines without a terminal
+
+
+class View(Protocol):
+    """Shows a board. `say` prints a line that stays."""
+
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None: ...
+    def say(self, line: str) -> None: ...
+    def show(self, board: Board) -> None: ...
+
+
+def open_view(title: str) -> View:
+    """A live view on a terminal, plain lines otherwise."""
+    return TableView(title) if sys.stdout.isatty() else LineView()
+
+
+class LineView:
+    """One line at each event, and a progress line at most every LINE_EVERY seconds."""
+
+    def __init__(self) -> None:
+        self._last = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        pass
+
+    def say(self, line: str) -> None:
+        print(line, flush=True)
+
+    def show(self, board: Board) -> None:
+        for event in board.drain_events():
+            self.say(event)
+        now = time.monotonic()
+        if board.newest and now - self._last >= LINE_EVERY:
+            self._last = now
+            self.say(_progress_line(board))
+
+
+class TableView:
+    """A table of all processes that redraws in place, events scrolling above it."""
+
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._console = Console(highlight=False)
+        self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        self._start = time.monotonic()
+
+    def __enter__(self) -> Self:
+        self._live.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
+    ) -> None:
+        self._live.__exit__(kind, error, at)
+
+    def say(self, line: str) -> None:
+        self._console.print(line, markup=False)
+
+    def show(self, board: Board) -> None:
+        for event in board.drain_events():
+            self.say(event)
+        self._live.update(self._table(board), refresh=True)
+
+    def _table(self, board: Board) -> Table:
+        left = "" if board.seconds_left is None else forecast.duration(board.seconds_left)
+        ran = forecast.duration(time.monotonic() - self._start)
+        table = Table(title=f"{self._title} · {ran} so far" + (f", {left} to go" if left else ""))
+        table.add_column("process")
+        table.add_column("phase")
+        for name in ("done", "of", "rate /s", "return", "alpha", "𝔻"):
+            table.add_column(name, justify="right")
+        for process, status in board.newest.items():
+            measures = board.measures[process]
+            table.add_row(
+                process,
+                place(status),
+                f"{status.update:,}",
+                f"{status.total:,}",
+                f"{status.rate:,.0f}",
+                *(
+                    format(measures[name], style) if name in measures else ""
+                    for name, style in (("return", ".1f"), ("alpha", ".3f"), ("similarity", ".3f"))
+                ),
+            )
+        return table
+
+
+def _progress_line(board: Board) -> str:
+    told = [
+        f"{process} {place(status)} {status.update:,}/{status.total:,} ({status.rate:,.0f}/s)"
+        for process, status in board.newest.items()
+        if status.total
+    ]
+    left = "" if board.seconds_left is None else f" · {forecast.duration(board.seconds_left)} to go"
+    return " · ".join(told) + left

@@ -1,0 +1,121 @@
+"""Starts real launchers, and finds the processes of a run."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+DEADLINE = 240.0  # seconds: a test that waits longer has failed
+
+# The smallest run with every phase.
+TINY = (
+    "dataset.transitions=1200",
+    "embedding.updates=20",
+    "offline.updates=60",
+    "algorithm.batch_size=32",
+    "sampling.candidates=64",
+    "sampling.references=64",
+    "sampling.similarity_sample=500",
+    "deployment.count=2",
+    "deployment.transitions=80",
+    "deployment.updates=20",
+    "evaluation.episodes=2",
+    "engine.name=eager",
+)
+TINY_FLAGS = tuple(part for value in TINY for part in ("--set", value))
+
+
+class Launcher:
+    """A launcher process whose output is read line by line."""
+
+    def __init__(self, *arguments: str, cwd: Path) -> None:
+        self.lines: list[str] = []
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "otc_dist.launch", *arguments],
+            cwd=cwd,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            bufsize=0,
+        )
+        self._rest = b""
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self.lines)
+
+    def read_until(self, wanted: Callable[[str], bool]) -> str:
+        """The first line from here on that `wanted` accepts."""
+        while (line := self._line()) is not None:
+            if wanted(line):
+                return line
+        raise AssertionError(f"the launcher ended before it was said:\n{self.text}")
+
+    def finish(self) -> int:
+        """Read to the end; the exit status."""
+        while self._line() is not None:
+            pass
+        return self.process.wait(DEADLINE)
+
+    def _line(self) -> str | None:
+        assert self.process.stdout is not None
+        while b"\n" not in self._rest:
+            ready, _, _ = select.select([self.process.stdout], [], [], DEADLINE)
+            assert ready, f"silence for {DEADLINE} s after:\n{self.text}"
+            read = os.read(self.process.stdout.fileno(), 65536)
+            if not read:
+                return None
+            self._rest += read
+        line, self._rest = self._rest.split(b"\n", 1)
+        self.lines.append(line.decode(errors="replace"))
+        return self.lines[-1]
+
+
+@pytest.fixture
+def launch(tmp_path: Path) -> Iterator[Callable[..., Launcher]]:
+    """Start a launcher in a folder of the test's own; it is gone when the test ends."""
+    started: list[Launcher] = []
+
+    def start(*arguments: str, cwd: Path = tmp_path) -> Launcher:
+        started.append(Launcher(*arguments, cwd=cwd))
+        return started[-1]
+
+    yield start
+    for launcher in started:
+        if launcher.process.poll() is None:
+            launcher.process.send_signal(signal.SIGTERM)
+            launcher.process.wait(DEADLINE)
+        assert launcher.process.stdout is not None
+        launcher.process.stdout.close()
+
+
+def processes_of(run: Path) -> dict[str, int]:
+    """Services of that run which are alive now: their command lines -> process id."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        try:
+            command = (entry / "cmdline").read_bytes().decode().split("\0")
+        except (OSError, UnicodeDecodeError):
+            continue  # it ended meanwhile, or is no process
+        if str(run) in command and any("otc_dist.services" in word for word in command):
+            found[" ".join(command[1:])] = int(entry.name)
+    return found
+
+
+def wait_for_end(pids: list[int]) -> None:
+    """Return when all these processes have ended; fail at the deadline."""
+    for pid in pids:
+        try:
+            handle = os.pidfd_open(pid)
+        except ProcessLookupError:
+            continue
+        try:
+            ready, _, _ = select.select([handle], [], [], DEADLINE)
+        finally:
+            os.close(handle)
+        assert ready, f"process {pid} still runs"
