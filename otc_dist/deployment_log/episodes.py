@@ -1,0 +1,67 @@
+"""The episodes of a deployment, found in its steps."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from otc_dist.deployment_log.record import Rows
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode of one copy. Where neither end is set, the deployment ended before it did."""
+
+    seed: int
+    copy: int
+    start: int  # the step of the deployment at which it began
+    length: int  # steps
+    returns: tuple[float, ...]  # by agent, undiscounted
+    terminated: bool
+    truncated: bool
+
+
+def find_episodes(blocks: Iterable[Rows], agents: int) -> list[Episode]:
+    """Episodes in order of their start, then of the copy; `blocks` are all steps, in order."""
+    columns = ("terminated", "truncated", "episode_seeds", *(f"rewards.{i}" for i in range(agents)))
+    parts = [tuple(rows[name].copy() for name in columns) for rows in blocks]
+    if not parts:
+        return []
+    # Each (T, E).
+    terminated, truncated, seeds, *rewards = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
+    )
+    steps, copies = terminated.shape
+    episodes = []
+    for copy in range(copies):
+        ends = np.flatnonzero(terminated[:, copy] | truncated[:, copy])
+        starts = [0, *(int(end) + 1 for end in ends)]
+        stops = [*starts[1:], steps]
+        for start, stop in zip(starts, stops, strict=True):
+            if start == stop:
+                continue
+            episodes.append(
+                Episode(
+                    seed=int(seeds[start, copy]),
+                    copy=copy,
+                    start=start,
+                    length=stop - start,
+                    returns=tuple(
+                        float(reward[start:stop, copy].sum(dtype=np.float64)) for reward in rewards
+                    ),
+                    terminated=bool(terminated[stop - 1, copy]),
+                    truncated=bool(truncated[stop - 1, copy]),
+                )
+            )
+    return sorted(episodes, key=lambda episode: (episode.start, episode.copy))
+
+
+def to_json(episodes: Iterable[Episode]) -> str:
+    """As a JSON array of objects."""
+    return json.dumps([asdict(episode) for episode in episodes])
+
+
+def from_json(text: str) -> list[Episode]:
+    """Inverse of `to_json`."""
+    return [Episode(**{**item, "returns": tuple(item["returns"])}) for item in json.loads(text)]

@@ -1,0 +1,286 @@
+"""One lock-step as one MCAP message: a msgpack map whose fields lie at fixed offsets.
+
+Sizes are fixed by the team and the number of copies, so every record of a log has the same
+length. Writing one is copying arrays into a template; reading many is a view of the bytes as
+structured rows; and finding the next record after damage is a search for the same few bytes.
+
+The payload is the map of `schema()`. Its last field is the CRC-32 of all the bytes before that
+field's 5 bytes (0xce and the checksum, big-endian), so a torn or flipped record never passes.
+"""
+
+import json
+import struct
+import zlib
+from collections.abc import Iterator
+from typing import Any
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from otc_dist.deployment_log.format import MAXIMUM_RECORD
+from otc_dist.errors import UserError
+from otc_dist.spec import TeamSpec
+from otc_dist.transitions import JointStep, Transitions
+
+CHANNEL_ID = 1
+MESSAGE_OPCODE = 5
+
+# https://mcap.dev/spec#message-op0x05: opcode, length | channel, sequence, log and publish time
+_FRAME = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_PREFIX_SIZE = _FRAME.size + 2  # opcode, length, channel: the same in all records of a log
+_TIMES = struct.Struct("<IQQ")
+PAYLOAD_START = _FRAME.size + _MESSAGE.size
+_CHECKSUM = struct.Struct(">I")
+_UINT32 = b"\xce"  # msgpack's marker; always this width, so that the length never varies
+_FALSE = 0xC2  # msgpack's false; true is one more
+
+_PER_AGENT = ("observations", "actions", "rewards", "next_observations")
+
+Rows = NDArray[np.void]  # structured; one row a step, fields as in `RecordLayout.dtype`
+
+
+class RecordLayout:
+    """The record of a team of N agents in E copies.
+
+    Raises:
+        UserError: one step of so many copies does not fit into a record.
+    """
+
+    def __init__(self, team: TeamSpec, copies: int) -> None:
+        self.team, self.copies = team, copies
+        self._shapes: dict[str, list[tuple[int, ...]]] = {
+            "observations": [(copies, agent.observation_size) for agent in team.agents],
+            "actions": [(copies, agent.action_size) for agent in team.agents],
+            "rewards": [(copies,) for _ in team.agents],
+            "next_observations": [(copies, agent.observation_size) for agent in team.agents],
+        }
+        time = np.dtype("<u8")  # ns since the epoch
+        self._fields: dict[str, tuple[np.dtype[Any], tuple[int, ...], int]] = {
+            "log_time": (time, (), _PREFIX_SIZE + 4),
+            "publish_time": (time, (), _PREFIX_SIZE + 12),
+        }
+        payload = self._payload()
+        self.size = PAYLOAD_START + len(payload)
+        if self.size > MAXIMUM_RECORD:
+            raise UserError(
+                f"env.copies = {copies} makes log records of {self.size / 2**20:.0f} MiB;"
+                f" at most {MAXIMUM_RECORD / 2**20:.0f} MiB are allowed"
+            )
+        frame = _FRAME.pack(MESSAGE_OPCODE, self.size - _FRAME.size)
+        self.template = frame + _MESSAGE.pack(CHANNEL_ID, 0, 0, 0) + payload
+        self.prefix = self.template[:_PREFIX_SIZE]
+        self.dtype = np.dtype(
+            {
+                "names": list(self._fields),
+                "formats": [(dtype, shape) for dtype, shape, _ in self._fields.values()],
+                "offsets": [offset for _, _, offset in self._fields.values()],
+                "itemsize": self.size,
+            }
+        )
+
+    def _payload(self) -> bytearray:
+        """An all-zero payload, noting on the way where each field's data lie."""
+        out, pack = bytearray(), msgpack.Packer()
+
+        def binary(name: str, dtype: str, shape: tuple[int, ...]) -> None:
+            kind = np.dtype(dtype)
+            size = kind.itemsize * int(np.prod(shape))
+            out.extend(pack.pack(bytes(size)))
+            self._fields[name] = (kind, shape, PAYLOAD_START + len(out) - size)
+
+        def integer(name: str) -> None:
+            out.extend(_UINT32 + bytes(4))
+            self._fields[name] = (np.dtype(">u4"), (), PAYLOAD_START + len(out) - 4)
+
+        out.extend(pack.pack_map_header(len(_PER_AGENT) + 7))
+        out.extend(pack.pack("step"))
+        integer("step")
+        for name in _PER_AGENT:
+            out.extend(pack.pack(name) + pack.pack_array_header(len(self.team.agents)))
+            for agent, shape in enumerate(self._shapes[name]):
+                binary(f"{name}.{agent}", "<f4", shape)
+        for name in ("terminated", "truncated"):
+            out.extend(pack.pack(name))
+            binary(name, "?", (self.copies,))
+        agents = len(self.team.agents)
+        out.extend(pack.pack("exploring") + pack.pack_array_header(agents))
+        self._fields["exploring"] = (np.dtype("u1"), (agents,), PAYLOAD_START + len(out))
+        out.extend(bytes([_FALSE]) * agents)
+        out.extend(pack.pack("episode_seeds"))
+        binary("episode_seeds", "<i8", (self.copies,))
+        out.extend(pack.pack("state"))
+        binary("state", "<f8", (self.copies, self.team.state_size))
+        out.extend(pack.pack("crc32"))
+        integer("crc32")
+        return out
+
+    def schema(self) -> bytes:
+        """The payload as a JSON schema. Arrays are msgpack `bin`: raw, C order, see `dtype`."""
+
+        def binary(dtype: str, shape: tuple[int, ...], text: str) -> dict[str, object]:
+            return {
+                "type": "string",
+                "contentMediaType": "application/octet-stream",
+                "dtype": dtype,
+                "shape": list(shape),
+                "description": text,
+            }
+
+        copies = (self.copies,)
+        meaning = {
+            "observations": "what the agent saw before the step",
+            "actions": "as the agent sent them",
+            "rewards": "of this step",
+            "next_observations": "the true successors, also where the episode ended",
+        }
+        properties: dict[str, object] = {"step": {"type": "integer", "description": "from 0"}}
+        for name in _PER_AGENT:
+            properties[name] = {
+                "type": "array",
+                "description": f"by agent: {meaning[name]}",
+                "prefixItems": [
+                    binary("<f4", shape, agent.name)
+                    for agent, shape in zip(self.team.agents, self._shapes[name], strict=True)
+                ],
+            }
+        properties |= {
+            "terminated": binary("|b1", copies, "by copy: the task ended here"),
+            "truncated": binary("|b1", copies, "by copy: the time limit ended the episode"),
+            "exploring": {
+                "type": "array",
+                "description": "by agent: it explored",
+                "items": {"type": "boolean"},
+            },
+            "episode_seeds": binary("<i8", copies, "by copy: seed of the step's episode"),
+            "state": binary(
+                "<f8", (self.copies, self.team.state_size), "simulator state before the step"
+            ),
+            "crc32": {
+                "type": "integer",
+                "description": "of the payload without its last 5 bytes, which are this field",
+            },
+        }
+        return json.dumps(
+            {
+                "$schema": "https://json-schema.org/draft/2020-12/schema",
+                "title": "JointStep",
+                "description": "One lock-step of all environment copies and agents, a msgpack map."
+                " Strings with a dtype are msgpack bin: raw arrays in C order.",
+                "type": "object",
+                "properties": properties,
+                "required": list(properties),
+            }
+        ).encode()
+
+    def intact(self, data: bytes | memoryview, first_step: int) -> int:
+        """How many records at the start of `data` are whole, unchanged and in order of steps."""
+        view, size, prefix = memoryview(data), self.size, self.prefix
+        step_at = self._fields["step"][2]
+        end = size - 1 - _CHECKSUM.size  # of what the checksum covers
+        for count in range(len(view) // size):
+            record = view[count * size : (count + 1) * size]
+            step = first_step + count
+            if (
+                record[:_PREFIX_SIZE] != prefix
+                or record[end] != _UINT32[0]
+                or _CHECKSUM.unpack_from(record, end + 1)[0]
+                != zlib.crc32(record[PAYLOAD_START:end])
+                or _TIMES.unpack_from(record, _PREFIX_SIZE)[0] != step
+                or _CHECKSUM.unpack_from(record, step_at)[0] != step
+            ):
+                return count
+        return len(view) // size
+
+    def rows(self, data: bytes | bytearray | memoryview) -> Rows:
+        """Intact records as structured rows; a view of `data`."""
+        return np.frombuffer(data, self.dtype)
+
+    def steps(self, rows: Rows) -> Iterator[JointStep]:
+        """Rows as steps. Arrays are aligned and writable; those of one block share memory."""
+        column = {name: np.array(rows[name]) for name in self.dtype.names or ()}
+        agents = range(len(self.team.agents))
+        by_agent = [[column[f"{name}.{i}"] for i in agents] for name in _PER_AGENT]
+        exploring = (column["exploring"] != _FALSE).tolist()
+        for t, step in enumerate(column["step"].tolist()):
+            observations, actions, rewards, next_observations = (
+                tuple([array[t] for array in arrays]) for arrays in by_agent
+            )
+            yield JointStep(
+                step=step,
+                observations=observations,
+                actions=actions,
+                rewards=rewards,
+                next_observations=next_observations,
+                terminated=column["terminated"][t],
+                truncated=column["truncated"][t],
+                exploring=tuple(exploring[t]),
+                episode_seeds=column["episode_seeds"][t],
+                state=column["state"][t],
+            )
+
+    def transitions(self, rows: Rows, agent: int) -> Transitions:
+        """T rows as the T * E transitions of one agent: by step, then by copy. Fresh arrays."""
+        count, spec = len(rows) * self.copies, self.team.agents[agent]
+
+        def flat(name: str, *size: int) -> NDArray[Any]:
+            return np.array(rows[name]).reshape(count, *size)
+
+        return Transitions(
+            observations=flat(f"observations.{agent}", spec.observation_size),
+            actions=flat(f"actions.{agent}", spec.action_size),
+            rewards=flat(f"rewards.{agent}"),
+            next_observations=flat(f"next_observations.{agent}", spec.observation_size),
+            terminated=flat("terminated"),
+            truncated=flat("truncated"),
+        )
+
+
+class StepEncoder:
+    """Encodes steps into one buffer, used again for each: no memory is taken per step."""
+
+    def __init__(self, layout: RecordLayout) -> None:
+        self._buffer = bytearray(layout.template)
+        row = layout.rows(self._buffer)[0]
+        agents = range(len(layout.team.agents))
+        self._by_agent = tuple([row[f"{name}.{i}"] for i in agents] for name in _PER_AGENT)
+        self._by_copy = tuple(
+            row[name] for name in ("terminated", "truncated", "episode_seeds", "state")
+        )
+        self._step_at = layout.dtype.fields["step"][1]  # type: ignore[index]  # it has fields
+        exploring_at = layout.dtype.fields["exploring"][1]  # type: ignore[index]
+        self._exploring = memoryview(self._buffer)[exploring_at : exploring_at + len(agents)]
+        self._record = memoryview(self._buffer)
+        self._checked = self._record[PAYLOAD_START : -1 - _CHECKSUM.size]
+
+    def encode(self, step: JointStep, log_time: int) -> memoryview:
+        """The whole MCAP record; valid until the next call.
+
+        Raises:
+            ValueError: an array has another shape than the team's.
+            TypeError: an array has another type than the team's.
+        """
+        number = step.step
+        _TIMES.pack_into(self._buffer, _PREFIX_SIZE, number, log_time, log_time)
+        _CHECKSUM.pack_into(self._buffer, self._step_at, number)
+        given = (step.observations, step.actions, step.rewards, step.next_observations)
+        for targets, arrays in zip(self._by_agent, given, strict=True):
+            for target, array in zip(targets, arrays, strict=True):
+                _copy(target, array)
+        terminated, truncated, seeds, state = self._by_copy
+        _copy(terminated, step.terminated)
+        _copy(truncated, step.truncated)
+        _copy(seeds, step.episode_seeds)
+        _copy(state, step.state)
+        self._exploring[:] = bytes([_FALSE + tag for tag in step.exploring])
+        checksum = zlib.crc32(self._checked)
+        _CHECKSUM.pack_into(self._buffer, len(self._buffer) - _CHECKSUM.size, checksum)
+        return self._record
+
+
+def _copy(target: NDArray[Any], array: NDArray[Any]) -> None:
+    # Without this check an array of one row would be spread over all copies.
+    if array.shape != target.shape:
+        raise ValueError(f"an array of a step has shape {array.shape}, not {target.shape}")
+    np.copyto(target, array, casting="equiv")
