@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Sequence
 
-from otc_dist import report
 from otc_dist.bus.messages import Status
 
 from . import descriptions
@@ -73,9 +72,7 @@ def _prepare(plan: Plan, supervisor: Supervisor, signals: Signals) -> None:
         _complete("data", plan.prepare_data, supervisor, signals)
 
 
-def _complete(
-    name: str, command: Sequence[str], supervisor: Supervisor, signals: Signals
-) -> None:
+def _complete(name: str, command: Sequence[str], supervisor: Supervisor, signals: Signals) -> None:
     """Run a process, showing what it prints, until it has ended well."""
     supervisor.start(name, command)
     while name in supervisor.running:

@@ -77,7 +77,7 @@ class Plan:
         d = self.description
         yield f"{d.name}: {d.summary}" if d.summary else d.name
         yield f"run folder   {self.folder.root}"
-        yield f"data         {d.dataset.name}, {d.dataset.transitions:,} transitions a agent"
+        yield f"data         {d.dataset.name}, {d.dataset.transitions:,} transitions an agent"
         for agent in self.spec.names:
             path = store.agent_file(d.dataset.name, agent, d.dataset.transitions)
             state = "cached" if path.exists() else "to be made"

@@ -38,7 +38,9 @@ def resolve(description: Description) -> Description:
 
 def total_updates(description: Description) -> int:
     """Updates of one agent's base algorithm in the whole run."""
-    return description.offline.updates + description.deployment.count * description.deployment.updates
+    return (
+        description.offline.updates + description.deployment.count * description.deployment.updates
+    )
 
 
 def _engine(description: Description) -> str:

@@ -46,7 +46,9 @@ def main(argv: list[str]) -> int:
         return _start(arguments)
     except OSError as error:
         if error.errno == errno.ENOSPC:
-            raise UserError(f"no disk space left: {error.filename or 'in the run folder'}") from None
+            raise UserError(
+                f"no disk space left: {error.filename or 'in the run folder'}"
+            ) from None
         raise
 
 

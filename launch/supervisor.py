@@ -1,5 +1,6 @@
 """Starts processes, notices their ends, stops them, and leaves none behind."""
 
+import contextlib
 import ctypes
 import os
 import signal
@@ -9,7 +10,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from .signals import Signals
@@ -18,9 +18,7 @@ GRACE = 10.0  # seconds between SIGTERM and SIGKILL
 _PR_SET_PDEATHSIG = 1
 
 # One thread each: several learners share the cores, and results do not depend on their number.
-ONE_THREAD = {
-    name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-}
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
@@ -66,9 +64,7 @@ class Supervisor:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
+    def __exit__(self, *failure: object) -> None:
         self.stop()
 
     @property
@@ -118,7 +114,7 @@ class Supervisor:
         return ends
 
     def stop(self) -> list[End]:
-        """SIGTERM to all, last started first; SIGKILL after GRACE seconds or if the user insists."""
+        """SIGTERM to all, last started first; SIGKILL after GRACE seconds, or if asked twice."""
         for child in reversed(self._running.values()):
             _signal_group(child.handle.pid, signal.SIGTERM)
         ends: list[End] = []
@@ -134,10 +130,8 @@ class Supervisor:
 
 
 def _signal_group(leader: int, number: signal.Signals) -> None:
-    try:
+    with contextlib.suppress(ProcessLookupError):  # all of it has ended already
         os.killpg(leader, number)
-    except ProcessLookupError:
-        pass  # all of it has ended already
 
 
 def _die_with(parent: int) -> Callable[[], None]:

@@ -2,7 +2,6 @@
 
 import sys
 import time
-from types import TracebackType
 from typing import Protocol, Self
 
 from rich.console import Console
@@ -19,9 +18,7 @@ class View(Protocol):
     """Shows a board. `say` prints a line that stays."""
 
     def __enter__(self) -> Self: ...
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *failure: object) -> None: ...
     def say(self, line: str) -> None: ...
     def show(self, board: Board) -> None: ...
 
@@ -40,9 +37,7 @@ class LineView:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
+    def __exit__(self, *failure: object) -> None:
         pass
 
     def say(self, line: str) -> None:
@@ -67,13 +62,11 @@ class TableView:
         self._start = time.monotonic()
 
     def __enter__(self) -> Self:
-        self._live.__enter__()
+        self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None
-    ) -> None:
-        self._live.__exit__(kind, error, at)
+    def __exit__(self, *failure: object) -> None:
+        self._live.stop()
 
     def say(self, line: str) -> None:
         self._console.print(line, markup=False)

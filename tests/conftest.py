@@ -5,6 +5,22 @@ from pathlib import Path
 
 import pytest
 
+# The smallest run with every phase.
+TINY = (
+    "dataset.transitions=1200",
+    "embedding.updates=20",
+    "offline.updates=60",
+    "algorithm.batch_size=32",
+    "sampling.candidates=64",
+    "sampling.references=64",
+    "sampling.similarity_sample=500",
+    "deployment.count=2",
+    "deployment.transitions=80",
+    "deployment.updates=20",
+    "evaluation.episodes=2",
+    "engine.name=eager",
+)
+
 
 @pytest.fixture(scope="session", autouse=True)
 def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
@@ -13,3 +29,9 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OTC_DIST_CACHE", str(folder))
         yield folder
+
+
+@pytest.fixture(scope="session")
+def tiny_flags() -> tuple[str, ...]:
+    """Flags that turn a description of a robot into a run of seconds, with every phase."""
+    return tuple(part for value in TINY for part in ("--set", value))

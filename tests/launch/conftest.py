@@ -12,23 +12,6 @@ import pytest
 
 DEADLINE = 240.0  # seconds: a test that waits longer has failed
 
-# The smallest run with every phase.
-TINY = (
-    "dataset.transitions=1200",
-    "embedding.updates=20",
-    "offline.updates=60",
-    "algorithm.batch_size=32",
-    "sampling.candidates=64",
-    "sampling.references=64",
-    "sampling.similarity_sample=500",
-    "deployment.count=2",
-    "deployment.transitions=80",
-    "deployment.updates=20",
-    "evaluation.episodes=2",
-    "engine.name=eager",
-)
-TINY_FLAGS = tuple(part for value in TINY for part in ("--set", value))
-
 
 class Launcher:
     """A launcher process whose output is read line by line."""

@@ -18,7 +18,11 @@ DEADLINE = 60.0
 FAMILY = """
 import os, subprocess, sys, time
 held = open(sys.argv[1], "w")
-inner = "import sys, time; held = open(sys.argv[1], 'w'); held.write('.'); held.flush(); time.sleep(600)"
+inner = '''
+import sys, time
+held = open(sys.argv[1], "w"); held.write("."); held.flush()
+time.sleep(600)
+'''
 child = subprocess.Popen([sys.executable, "-c", inner, sys.argv[1]])
 held.write("."); held.flush()
 time.sleep(600)

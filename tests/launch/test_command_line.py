@@ -1,0 +1,194 @@
+"""What a user types wrongly is answered by one line that helps, before anything is started."""
+
+import fcntl
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+from otc_dist.launch import descriptions, run_record
+from otc_dist.launch.__main__ import main
+from otc_dist.launch.resolve import resolve
+from otc_dist.run_folder import RunFolder
+
+SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["3agent_hoper"], "did you mean '3agent_hopper'?"),
+        (["3agent_hopper", "--quik"], "did you mean '--quick'?"),
+        (["3agent_hopper", "--seed", "one"], "'one' is no whole number"),
+        (["3agent_hopper", "--seed", "-1"], "seed"),
+        (["3agent_hopper", "--set", "sampling.alfa=1"], "did you mean 'sampling.alpha'?"),
+        (["3agent_hopper", "--set", "sampling.alpha"], "section.key=value"),
+        (["3agent_hopper", "--set", "sampling.alpha=-1"], "sampling.alpha"),
+        (["3agent_hopper", "--set", "env.id=hopper-3x2"], "hopper-3x1"),
+        (["3agent_hopper", "--set", "dataset.name=hopper-3x1/medum"], "hopper-3x1/medium"),
+        (["3agent_hopper", "--set", "engine.name=gpu"], "engine.name"),
+        (["missing.toml"], "cannot read the description missing.toml"),
+        ([], "--list"),
+        (["--resume", "nowhere"], "is no run folder"),
+        (["3agent_hopper", "--resume", "nowhere"], "leave out a description"),
+        (["--resume", "nowhere", "--seed", "0"], "leave out --seed"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    arguments: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError) as caught:
+        main([*arguments, *(SHORT if "--resume" not in arguments else ())])
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []  # nothing was begun
+
+
+def test_bad_toml_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('name = "mine\n')
+    with pytest.raises(UserError, match=r"mine\.toml is not valid TOML"):
+        main([str(path)])
+
+
+def test_the_process_exits_with_2_and_no_traceback(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "otc_dist.launch", "3agent_hoper"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == (
+        "error: unknown description '3agent_hoper'; did you mean '3agent_hopper'?\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("out", "says"),
+    [("file/run", "Not a directory"), ("file", "File exists"), ("/proc/run", "cannot make")],
+)
+def test_a_folder_that_cannot_be_made(out: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match=says):
+        run_record.make_folder(tmp_path / out, needed=0)
+
+
+def test_a_full_disk_is_noticed_before_the_start(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no disk space"):
+        run_record.make_folder(tmp_path / "run", needed=2**62)
+
+
+def _tiny() -> Description:
+    return descriptions.load("3agent_hopper", SHORT[1::2], None, quick=False)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunFolder:
+    """A run that was begun and not finished."""
+    folder = run_record.make_folder(tmp_path / "run", needed=0)
+    run_record.create(folder, resolve(_tiny()), quick=False)
+    return folder
+
+
+def test_an_existing_run_is_not_overwritten(run: RunFolder) -> None:
+    with pytest.raises(UserError, match=r"exists already; use --resume .*, or another --out"):
+        main(["3agent_hopper", *SHORT, "--out", str(run.root)])
+
+
+def test_a_finished_run_is_not_resumed(run: RunFolder) -> None:
+    run_record.RunRecord.read(run).moved_to("finished", run)
+    with pytest.raises(UserError, match="is finished; its report is"):
+        main(["--resume", str(run.root)])
+
+
+def test_a_changed_description_is_not_resumed(run: RunFolder) -> None:
+    run.description.write_text(_tiny().with_assignments("seed=9").to_toml())
+    with pytest.raises(UserError, match="has changed since the run began"):
+        main(["--resume", str(run.root)])
+
+
+def test_other_versions_do_not_resume(run: RunFolder) -> None:
+    record = json.loads(run.run_json.read_text())
+    record["versions"]["torch"] = "1.0"
+    run.run_json.write_text(json.dumps(record))
+    with pytest.raises(UserError, match=r"begun with torch 1\.0"):
+        main(["--resume", str(run.root)])
+
+
+def test_a_damaged_record_is_one_line(run: RunFolder) -> None:
+    run.run_json.write_text("{")
+    with pytest.raises(UserError, match=r"run\.json is damaged"):
+        main(["--resume", str(run.root)])
+
+
+def test_two_launchers_do_not_share_a_run(run: RunFolder) -> None:
+    handle = os.open(run.root / ".lock", os.O_RDWR | os.O_CREAT)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        with pytest.raises(UserError, match="another launcher is at work"):
+            main(["--resume", str(run.root)])
+    finally:
+        os.close(handle)
+
+
+def test_list_names_every_description(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--list"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert listed == ["2agent_halfcheetah", "2agent_walker2d", "3agent_hopper"]
+
+
+def test_dry_run_prints_the_plan_and_starts_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["3agent_hopper", *SHORT, "--dry-run"]) == 0
+    printed = capsys.readouterr().out
+    for wanted in (
+        "-m otc_dist.services.env_host --run",
+        "-m otc_dist.services.learner --run",
+        "--agent agent_2",
+        "otc/3agent_hopper-seed0/agent_1/observation",
+        "100 transitions an agent",
+        "to be made",
+        "60,000 offline updates",
+        "10 deployments of 4 transitions",  # 1% of 100 is 1: rounded up to the copies
+    ):
+        assert wanted in printed
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", sorted(descriptions.shipped()))
+def test_shipped_descriptions_resolve_and_keep_their_name(name: str) -> None:
+    for quick in (False, True):
+        description = descriptions.load(name, ["engine.name=eager"], 3, quick)
+        resolved = resolve(description)
+        assert (resolved.name, resolved.seed) == (name, 3)
+        assert resolved.dataset.transitions > 0
+        assert resolved.deployment.transitions % resolved.env.copies == 0
+        assert resolve(resolved) == resolved
+
+
+def test_set_wins_over_quick() -> None:
+    description = descriptions.load("3agent_hopper", ["offline.updates=7"], None, quick=True)
+    assert description.offline.updates == 7
+
+
+@pytest.mark.slow
+def test_auto_engine_is_resolved_without_torch_in_the_launcher() -> None:
+    code = (
+        "import sys; from otc_dist.launch import descriptions, resolve, run_command\n"
+        "d = resolve.resolve(descriptions.load('3agent_hopper', [], None, False))\n"
+        "print(d.engine.name, 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    engine, imported = done.stdout.split()
+    assert engine in {"compiled", "cuda-graph", "eager"}
+    assert imported == "False"

@@ -1,0 +1,144 @@
+"""Whole runs through the launcher: finished, interrupted, killed, and gone on with."""
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from otc_dist.launch.run_record import RunRecord
+from otc_dist.run_folder import RunFolder
+
+from .conftest import Launcher, processes_of, wait_for_end
+
+pytestmark = pytest.mark.slow
+
+Launch = Callable[..., Launcher]
+AGENTS = ("agent_0", "agent_1", "agent_2")
+
+
+def outcome(folder: RunFolder) -> dict[str, object]:
+    """All that must not depend on what happened on the way: weights, logs, returns."""
+    found: dict[str, object] = {}
+    for agent in AGENTS:
+        for k in range(3):
+            found[f"{agent} {k}"] = folder.checkpoint(agent, k).read_bytes()
+    for k in (1, 2):
+        with folder.deployment(k).open("rb") as file:
+            found[f"deployment {k}"] = [
+                (channel.topic, message.sequence, message.data)
+                for _, channel, message in make_reader(file).iter_messages()
+            ]
+    for k in range(3):
+        found[f"evaluation {k}"] = json.loads(folder.evaluation(k).read_text())["returns"]
+    return found
+
+
+@pytest.fixture(scope="module")
+def finished(
+    tmp_path_factory: pytest.TempPathFactory, tiny_flags: tuple[str, ...]
+) -> tuple[RunFolder, Launcher]:
+    """An undisturbed run."""
+    place = tmp_path_factory.mktemp("finished")
+    launcher = Launcher("3agent_hopper", *tiny_flags, "--out", "run", cwd=place)
+    assert launcher.finish() == 0, launcher.text
+    return RunFolder(place / "run"), launcher
+
+
+def same(folder: RunFolder, reference: RunFolder) -> None:
+    ours, theirs = outcome(folder), outcome(reference)
+    assert ours.keys() == theirs.keys()
+    assert [name for name in ours if ours[name] != theirs[name]] == []
+
+
+def test_a_run_ends_with_results_and_nothing_left(finished: tuple[RunFolder, Launcher]) -> None:
+    folder, launcher = finished
+    assert RunRecord.read(folder).state == "finished"
+    assert json.loads(folder.results.read_text())
+    assert "</html>" in folder.report.read_text()
+    assert processes_of(folder.root) == {}
+    for said in ("agent_1: offline", "agent_2: tuning after deployment 2", "alpha", "host: "):
+        assert said in launcher.text
+    assert str(folder.report) in launcher.lines[-1]
+
+
+@pytest.mark.parametrize(
+    "moment", ["agent_1: offline", "host: deployment 1", "agent_0: tuning after deployment 1"]
+)
+def test_ctrl_c_leaves_no_process_and_resume_ends_the_same(
+    moment: str,
+    finished: tuple[RunFolder, Launcher],
+    launch: Launch,
+    tmp_path: Path,
+    tiny_flags: tuple[str, ...],
+) -> None:
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
+    launcher.read_until(lambda line: line.startswith(moment))
+    assert len(processes_of(tmp_path / "run")) == 4
+    launcher.process.send_signal(signal.SIGINT)
+    assert launcher.finish() == 130
+    assert processes_of(tmp_path / "run") == {}
+    folder = RunFolder(tmp_path / "run")
+    assert RunRecord.read(folder).state == "stopped"
+    assert launcher.lines[-1].startswith(
+        "stopped by SIGINT; resume with: python -m otc_dist.launch"
+    )
+
+    resumed = launch("--resume", str(folder.root))
+    assert resumed.finish() == 0, resumed.text
+    same(folder, finished[0])
+
+
+def test_a_killed_child_is_reported_and_all_are_stopped(
+    finished: tuple[RunFolder, Launcher],
+    launch: Launch,
+    tmp_path: Path,
+    tiny_flags: tuple[str, ...],
+) -> None:
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
+    launcher.read_until(lambda line: line.startswith("agent_1: offline"))
+    (victim,) = (
+        pid for command, pid in processes_of(tmp_path / "run").items() if "agent_1" in command
+    )
+    os.kill(victim, signal.SIGKILL)
+    assert launcher.finish() == 1
+    assert "error: agent_1 was killed by SIGKILL; all others were stopped" in launcher.lines
+    assert f"resume with: python -m otc_dist.launch --resume {tmp_path / 'run'}" in launcher.lines
+    folder = RunFolder(tmp_path / "run")
+    assert processes_of(folder.root) == {}
+    assert RunRecord.read(folder).state == "failed"
+
+    resumed = launch("--resume", str(folder.root))
+    assert resumed.finish() == 0, resumed.text
+    same(folder, finished[0])
+
+
+def test_killing_the_launcher_leaves_no_orphan_and_a_run_to_go_on_with(
+    finished: tuple[RunFolder, Launcher],
+    launch: Launch,
+    tmp_path: Path,
+    tiny_flags: tuple[str, ...],
+) -> None:
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
+    launcher.read_until(lambda line: line.startswith("host: deployment 1"))
+    children = list(processes_of(tmp_path / "run").values())
+    assert len(children) == 4
+    launcher.process.kill()
+    wait_for_end(children)
+
+    resumed = launch("--resume", str(tmp_path / "run"))
+    assert resumed.finish() == 0, resumed.text
+    same(RunFolder(tmp_path / "run"), finished[0])
+
+
+def test_sigterm_stops_like_ctrl_c(
+    launch: Launch, tmp_path: Path, tiny_flags: tuple[str, ...]
+) -> None:
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
+    launcher.read_until(lambda line: line.startswith("agent_0: "))
+    launcher.process.terminate()
+    assert launcher.finish() == 128 + signal.SIGTERM
+    assert processes_of(tmp_path / "run") == {}

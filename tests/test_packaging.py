@@ -1,0 +1,93 @@
+"""What is installed is what is here: nothing missing, nothing else, and it runs from anywhere."""
+
+import shutil
+import site
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOURCES = {"otc_dist": "otc_dist", "services": "otc_dist.services", "launch": "otc_dist.launch"}
+
+
+def _project() -> dict[str, object]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_every_folder_with_code_is_a_listed_package() -> None:
+    listed = set(_project()["tool"]["setuptools"]["packages"])  # type: ignore[index]
+    found = set()
+    for folder, package in SOURCES.items():
+        for init in (ROOT / folder).rglob("__init__.py"):
+            below = init.parent.relative_to(ROOT / folder).parts
+            found.add(".".join([package, *below]))
+    assert found == listed
+
+
+def test_every_requirement_is_pinned() -> None:
+    pinned = {
+        line.split("==")[0].lower().replace("_", "-")
+        for line in (ROOT / "constraints.txt").read_text().splitlines()
+        if "==" in line
+    }
+    project = _project()["project"]
+    wanted = [*project["dependencies"], *project["optional-dependencies"]["test"]]  # type: ignore[index]
+    names = {requirement.replace("[", ">").split(">")[0].lower() for requirement in wanted}
+    assert names <= pinned
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    source = tmp_path_factory.mktemp("source") / "checkout"
+    unwanted = shutil.ignore_patterns(".*", "runs", "build", "__pycache__", "*.egg-info")
+    shutil.copytree(ROOT, source, ignore=unwanted)
+    out = tmp_path_factory.mktemp("wheel")
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(out), str(source)],
+        check=True,
+    )
+    (built,) = out.glob("*.whl")
+    return built
+
+
+@pytest.mark.slow
+def test_the_wheel_installs_nothing_but_otc_dist(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"otc_dist"}
+    for needed in ("launch/3agent_hopper.toml", "envs/models/hopper.xml"):
+        assert f"otc_dist/{needed}" in names
+    snapshots = [name for name in names if name.startswith("otc_dist/datasets/snapshots/")]
+    shipped = [p for p in (ROOT / "otc_dist/datasets/snapshots").rglob("*") if p.is_file()]
+    assert len(snapshots) == len(shipped) > 0
+
+
+@pytest.mark.slow
+def test_the_installed_launcher_runs_from_another_folder(
+    wheel: Path, tmp_path: Path, tiny_flags: tuple[str, ...]
+) -> None:
+    """An environment that holds the wheel alone; the dependencies are looked up in this one's."""
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    python = tmp_path / "venv" / "bin" / "python"
+    subprocess.run([python, "-m", "pip", "install", "-q", "--no-deps", wheel], check=True)
+    # A path in a .pth file is searched; its own .pth files (an editable install's) are not read.
+    (own,) = (tmp_path / "venv" / "lib").glob("python*/site-packages")
+    (own / "dependencies.pth").write_text("\n".join(site.getsitepackages()) + "\n")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    where = subprocess.run(
+        [python, "-c", "import otc_dist.launch; print(otc_dist.launch.__file__)"],
+        cwd=elsewhere,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert Path(where.stdout.strip()).is_relative_to(own)
+    subprocess.run(
+        [python, "-m", "otc_dist.launch", "3agent_hopper", *tiny_flags], cwd=elsewhere, check=True
+    )
+    assert (elsewhere / "runs" / "3agent_hopper-seed0" / "report.html").exists()
