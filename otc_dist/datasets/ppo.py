@@ -80,13 +80,14 @@ class ActorCritic(nn.Module):
 
     def log_probability(self, observations: Tensor, actions: Tensor) -> Tensor:
         """log pi(a|s) of unclipped actions (n, A): (n,)."""
-        z = (actions - self.actor(observations)) * torch.exp(-self.log_std)
+        means: Tensor = self.actor(observations)
+        z = (actions - means) * torch.exp(-self.log_std)
         return (-0.5 * z * z - self.log_std - 0.5 * math.log(2 * math.pi)).sum(-1)
 
     def value(self, observations: Tensor) -> Tensor:
         """V(s), (n,)."""
-        values: Tensor = self.critic(observations)[:, 0]
-        return values
+        values: Tensor = self.critic(observations)
+        return values.squeeze(-1)
 
 
 @dataclass(frozen=True)
