@@ -1,0 +1,219 @@
+"""The command `python -m otc_dist.datasets`: list, make, show and import data sets."""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from otc_dist.cache import cache_root
+from otc_dist.cache import cache_root
+from otc_dist.datasets import store
+from otc_dist.datasets.card import DatasetCard, Summary
+from otc_dist.datasets.importers import import_file
+from otc_dist.datasets.names import DatasetName, known_names
+from otc_dist.errors import UserError, run_main
+
+DESCRIPTION = """\
+Offline data sets B_0: one file an agent, with only that agent's <s, a_i, r, s'>.
+
+Data sets we make have the name ENVIRONMENT/LEVEL, where LEVEL is
+  random          uniformly random actions
+  medium          samples of a behaviour policy of D4RL's medium level
+  medium-replay   a mixture of the policies on the way there, from the untrained one on
+They are made by playing the behaviour policies that come with this package, once, and kept in
+the cache. The same name and size give the same bytes. They are not D4RL's; those, and Minari's,
+can be imported.
+"""
+EXAMPLES = """\
+examples:
+  python -m otc_dist.datasets list
+  python -m otc_dist.datasets make hopper-3x1/medium-replay
+  python -m otc_dist.datasets make hopper-3x1/medium --transitions 20000
+  python -m otc_dist.datasets show hopper-3x1/medium
+  python -m otc_dist.datasets import hopper_medium-v2.hdf5 --name d4rl-medium
+  python -m otc_dist.launch 3agent_hopper --set dataset.name=hopper-3x1/d4rl-medium
+
+The cache is {cache}; set OTC_DIST_CACHE to keep it elsewhere.
+"""
+_LINE_EVERY = 10.0  # seconds between lines of progress where there is no terminal
+
+
+def main(argv: list[str]) -> int:
+    """Run one command. Raises UserError for what the user can mend."""
+    arguments = _parser().parse_args(argv)
+    if arguments.command == "list":
+        _list()
+    elif arguments.command == "make":
+        with _progress(arguments.name) as progress:
+            card = store.ensure(arguments.name, arguments.transitions, progress)
+        print(describe(card))
+    elif arguments.command == "show":
+        print(describe(_cached(arguments.name, arguments.transitions)))
+    else:
+        print(describe(import_file(arguments.file, arguments.name, arguments.env)))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m otc_dist.datasets",
+        description=DESCRIPTION,
+        epilog=EXAMPLES.format(cache=cache_root()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    commands.add_parser("list", help="every known data set, and the sizes that are in the cache")
+    make = commands.add_parser("make", help="make a data set, or check the one that is there")
+    show = commands.add_parser("show", help="returns, sizes, versions and hashes of a data set")
+    for command in (make, show):
+        command.add_argument("name", metavar="NAME", help="for example hopper-3x1/medium-replay")
+        command.add_argument(
+            "--transitions",
+            type=int,
+            default=0,
+            metavar="N",
+            help="size, if not the usual one, which `list` tells",
+        )
+    importing = commands.add_parser(
+        "import",
+        help="import a D4RL file or a Minari data set",
+        description="Import a recording of single-agent play, and split its action vector among "
+        "the agents. Transitions without a known true successor s' are dropped, and counted.",
+    )
+    importing.add_argument(
+        "file",
+        type=Path,
+        metavar="FILE",
+        help="a D4RL HDF5 file, or a Minari data set (its folder or its main_data.hdf5)",
+    )
+    importing.add_argument(
+        "--name", required=True, metavar="WORD", help="the data set is then ENVIRONMENT/WORD"
+    )
+    importing.add_argument(
+        "--env",
+        default="",
+        metavar="ENVIRONMENT",
+        help="for example hopper-3x1; default: the team of the robot that FILE names",
+    )
+    return parser
+
+
+def _list() -> None:
+    rows = [("NAME", "USUAL SIZE", "IN THE CACHE", "MB")]
+    for name in known_names():
+        sizes = name.sizes()
+        files = [f for size in sizes for f in name.set_folder(size).glob("*.safetensors")]
+        rows.append(
+            (
+                str(name),
+                f"{name.usual_size():,}",
+                "  ".join(f"{size:,}" for size in sizes) or "-",
+                f"{sum(file.stat().st_size for file in files) / 1e6:.1f}" if sizes else "-",
+            )
+        )
+    print(_table(rows))
+
+
+def _cached(name: str, transitions: int) -> DatasetCard:
+    """The card of a set in the cache, its files verified."""
+    parsed = DatasetName.parse(name)
+    sizes = parsed.sizes()
+    size = transitions or parsed.usual_size()
+    if not transitions and size not in sizes and len(sizes) == 1:
+        size = sizes[0]  # the only one there is
+    if size not in sizes:
+        others = f" (there are {', '.join(map(str, sizes))})" if sizes else ""
+        raise UserError(
+            f"{name} with {size} transitions is not in the cache{others}; make it: "
+            f"python -m otc_dist.datasets make {name}"
+            + (f" --transitions {transitions}" if transitions else "")
+        )
+    folder = parsed.set_folder(size)
+    card = DatasetCard.read(folder)
+    fault = card.fault(folder) if card else "its card is missing or damaged"
+    if card is None or fault:
+        raise UserError(f"{name} is damaged: {fault}; make or import it again")
+    return card
+
+
+def describe(card: DatasetCard) -> str:
+    """The card as aligned text."""
+    folder = DatasetName(card.env_id, card.name.partition("/")[2]).folder / str(card.transitions)
+    ends = f"{card.terminated:,} terminated, {card.truncated:,} truncated"
+    episodes = f"{card.episodes:,} complete, {card.incomplete_episodes:,} cut short"
+    rows = [
+        ("name", card.name),
+        ("transitions", f"{card.transitions:,} ({ends})"),
+        ("episodes", episodes),
+        ("return", _summary(card.returns)),
+        ("normalised score", _summary(card.normalised_score)),
+        ("origin", card.origin),
+        *(("", f"{key}: {value}") for key, value in card.recipe.items()),
+        *(("note", note) for note in card.notes),
+        ("versions", ", ".join(f"{key} {value}" for key, value in card.versions.items())),
+        ("folder", str(folder)),
+    ]
+    for agent, file in card.files.items():
+        sizes = f"observation {file.observation_size}, action {file.action_size}"
+        rows.append((agent, f"{file.bytes / 1e6:.1f} MB, {sizes}"))
+        rows.append(("", f"sha256 {file.sha256}"))
+    return _table(rows)
+
+
+def _summary(summary: Summary | None) -> str:
+    if summary is None:
+        return "not known"
+    low, high = f"{summary.minimum:.1f}", f"{summary.maximum:.1f}"
+    return f"mean {summary.mean:.1f}, std {summary.std:.1f}, from {low} to {high}"
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = (
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+    return "\n".join(lines)
+
+
+@contextmanager
+def _progress(name: str) -> Iterator[store.Progress]:
+    """A bar on a terminal; elsewhere a line now and then. On the standard error output."""
+    console = Console(stderr=True)
+    if console.is_terminal:
+        columns = (
+            TextColumn("making {task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:,.0f} of {task.total:,.0f}"),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = None
+
+            def draw(done: int, total: int) -> None:
+                nonlocal task
+                if task is None:
+                    task = bar.add_task(name, total=total)
+                bar.update(task, completed=done)
+
+            yield draw
+        return
+    printed = time.monotonic()
+
+    def write(done: int, total: int) -> None:
+        nonlocal printed
+        now = time.monotonic()
+        if now - printed >= _LINE_EVERY or done == total:
+            printed = now
+            print(f"making {name}: {done:,} of {total:,} transitions", file=sys.stderr, flush=True)
+
+    yield write
+
+
+if __name__ == "__main__":
+    run_main(main)

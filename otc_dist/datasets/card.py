@@ -1,0 +1,127 @@
+"""The card of a data set (`card.json`): what is in it, how good it is, how it was made."""
+
+import hashlib
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from otc_dist.datasets.agent_files import FORMAT_VERSION
+from otc_dist.envs import registry
+from otc_dist.transitions import Bool, Float32, Float64
+
+FILE_NAME = "card.json"
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Summary(_Record):
+    """Mean, standard deviation and range of some numbers."""
+
+    mean: float
+    std: float
+    minimum: float
+    maximum: float
+
+    @classmethod
+    def of(cls, values: Float64) -> Self | None:
+        """None if there are no values."""
+        if len(values) == 0:
+            return None
+        return cls(
+            mean=float(values.mean()),
+            std=float(values.std()),
+            minimum=float(values.min()),
+            maximum=float(values.max()),
+        )
+
+
+class AgentFile(_Record):
+    """One agent's file of the set."""
+
+    bytes: int
+    sha256: str
+    observation_size: int
+    action_size: int
+
+
+class DatasetCard(_Record):
+    """What a data set says of itself. Without a clock: equal data give an equal card."""
+
+    format_version: int = FORMAT_VERSION
+    name: str  # "hopper-3x1/medium"
+    env_id: str
+    transitions: int
+    terminated: int  # transitions where the task ended
+    truncated: int  # transitions where a time limit ended the episode
+    episodes: int  # complete ones, which the returns are over
+    incomplete_episodes: int
+    returns: Summary | None  # team return: mean over agents of their sums of rewards
+    normalised_score: Summary | None  # 0: random, 100: expert; None where no reference is known
+    origin: str
+    recipe: dict[str, str]  # all that determines the data; another recipe, other data
+    notes: tuple[str, ...]  # what was dropped, reconstructed or assumed
+    versions: dict[str, str]
+    files: dict[str, AgentFile]  # by agent
+
+    @classmethod
+    def read(cls, folder: Path) -> Self | None:
+        """The card in `folder`, or None if there is none that can be read."""
+        try:
+            card = cls.model_validate_json((folder / FILE_NAME).read_bytes())
+        except (OSError, ValidationError):
+            return None
+        return card if card.format_version == FORMAT_VERSION else None
+
+    def to_json(self) -> str:
+        return self.model_dump_json(indent=2) + "\n"
+
+    def fault(self, folder: Path) -> str | None:
+        """What is wrong with the files in `folder`, hashes included; None if nothing is."""
+        for agent, expected in self.files.items():
+            path = folder / f"{agent}.safetensors"
+            try:
+                size = path.stat().st_size
+                if size != expected.bytes:
+                    return f"{path} has {size} bytes instead of {expected.bytes}"
+                if file_sha256(path) != expected.sha256:
+                    return f"{path} does not match its sha256"
+            except OSError as error:
+                return f"cannot read {path}: {error.strerror}"
+        return None
+
+
+def file_sha256(path: Path) -> str:
+    """Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def episode_returns(
+    rewards: Float32 | Float64,
+    terminated: Bool,
+    truncated: Bool,
+    episodes: NDArray[np.int64],
+    limit: int = 0,
+) -> tuple[Float64, int]:
+    """Returns of the complete episodes, in order of their ids, and the number of the others.
+
+    An episode is complete if it terminated, or was truncated at `limit` steps or later: below,
+    something other than the task's time limit cut it. All arrays are (T,).
+    """
+    ids, members = np.unique(episodes, return_inverse=True)
+    returns = np.bincount(members, rewards, len(ids)).astype(np.float64)
+    fell = np.bincount(members, terminated, len(ids)) > 0
+    cut = np.bincount(members, truncated, len(ids)) > 0
+    complete = fell | (cut & (np.bincount(members, minlength=len(ids)) >= limit))
+    return returns[complete], int((~complete).sum())
+
+
+def normalised_scores(env_id: str, returns: Float64) -> Float64:
+    """`returns` on the scale from 0 (random) to 100 (expert); empty where that is not known."""
+    scores = [registry.normalised_score(env_id, value) for value in returns.tolist()]
+    return np.array([score for score in scores if score is not None], np.float64)

@@ -1,0 +1,91 @@
+"""Read Minari data sets in HDF5: one group an episode, with one observation more than actions.
+
+    episode_k/{observations (T + 1, O), actions (T, A), rewards, terminations, truncations}
+
+The last observation is there, so every transition has its true successor.
+"""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otc_dist.datasets.recording import Recording, flags, joint_sizes, numbers
+from otc_dist.errors import UserError
+from otc_dist.spec import TeamSpec
+
+if TYPE_CHECKING:
+    import h5py
+
+DATA_FILE = "main_data.hdf5"
+_FIELDS = ("observations", "actions", "rewards", "terminations", "truncations")
+
+
+def data_file(folder: Path) -> Path:
+    """The HDF5 file of the one data set in `folder`, its root or its `data` folder.
+
+    Raises:
+        UserError: none, several, or one in a format other than HDF5.
+    """
+    for candidate in (folder / DATA_FILE, folder / "data" / DATA_FILE):
+        if candidate.is_file():
+            return candidate
+    found = sorted(folder.rglob(DATA_FILE))
+    if found:
+        raise UserError(f"{folder} is no single Minari data set; name one, such as {found[0]}")
+    raise UserError(
+        f"no {DATA_FILE} in {folder}; only Minari data sets in the format 'hdf5' can be imported"
+    )
+
+
+def environment(path: Path) -> str:
+    """The environment id that the metadata beside the data file name, or ""."""
+    try:
+        metadata = json.loads((path.parent / "metadata.json").read_text(encoding="utf-8"))
+        return str(json.loads(metadata["env_spec"])["id"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
+    """Read an open data file.
+
+    Raises:
+        UserError: missing arrays, sizes other than the environment's, or bad values.
+        OSError: a damaged file.
+    """
+    names = [name for name in file if name.startswith("episode_")]
+    names.sort(key=lambda name: int(name.removeprefix("episode_")))
+    width, action_size = joint_sizes(spec, source)
+    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in (*_FIELDS, "next", "episodes")}
+    for index, name in enumerate(names):
+        group, where = file[name], f"{source}: {name}"
+        for field in _FIELDS:
+            if not hasattr(group.get(field), "shape"):
+                raise UserError(f"{where} has no array {field}; only plain vectors can be imported")
+        actions = numbers(group["actions"][()], "actions", (-1, action_size), where)
+        length = len(actions)
+        seen = numbers(group["observations"][()], "observations", (length + 1, width), where)
+        parts["observations"].append(seen[:-1])
+        parts["next"].append(seen[1:])
+        parts["actions"].append(actions)
+        parts["rewards"].append(numbers(group["rewards"][()], "rewards", (length,), where))
+        for field in ("terminations", "truncations"):
+            parts[field].append(flags(group[field][()], field, length, where))
+        parts["episodes"].append(np.full(length, index, np.int64))
+    if not sum(map(len, parts["rewards"])):
+        raise UserError(f"{source} is empty")
+    joined = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+    return Recording(
+        observations=joined["observations"],
+        actions=joined["actions"],
+        rewards=joined["rewards"],
+        next_observations=joined["next"],
+        known=np.ones(len(joined["rewards"]), np.bool_),
+        terminated=joined["terminations"],
+        truncated=joined["truncations"] & ~joined["terminations"],
+        episodes=joined["episodes"],
+        notes=(),
+    )

@@ -1,0 +1,151 @@
+"""Where B_0 comes from: each data set is made once, and each agent is given its own file of it.
+
+    <cache>/datasets/<env_id>/<level>/<transitions>/agent_0.safetensors
+                                                   /agent_1.safetensors
+                                                   /card.json
+
+<cache> is $OTC_DIST_CACHE or the user's cache folder. A set's folder appears by one rename, when
+all of it is on the disk.
+"""
+
+import logging
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+import otc_dist
+from otc_dist.datasets import generate
+from otc_dist.datasets.agent_files import load_agent, load_tensors
+from otc_dist.datasets.behaviour import load_card
+from otc_dist.datasets.card import DatasetCard, episode_returns
+from otc_dist.datasets.joint import JointTransitions
+from otc_dist.datasets.names import DatasetName
+from otc_dist.datasets.writing import Provenance, locked, publish, versions
+from otc_dist.envs import registry
+from otc_dist.envs.robot_specs import PARTITIONS
+from otc_dist.errors import UserError, unknown
+
+__all__ = ["agent_file", "ensure", "load_agent", "load_joint", "usual_size"]
+
+_SEED = 0  # of all data sets that we make: one name and size, one content
+
+Progress = Callable[[int, int], None]  # transitions made, of how many
+
+_log = logging.getLogger(__name__)
+
+
+def usual_size(name: str) -> int:
+    """Transitions of the data set if nobody asks for another size. UserError if unknown."""
+    return DatasetName.parse(name).usual_size()
+
+
+def agent_file(name: str, agent: str, transitions: int = 0) -> Path:
+    """Where the B_0 of `agent` lies, or will lie. UserError for an unknown data set or agent."""
+    parsed = DatasetName.parse(name)
+    agents = registry.team_spec(parsed.env_id).names
+    if agent not in agents:
+        raise unknown("agent", agent, agents)
+    return parsed.set_folder(transitions) / f"{agent}.safetensors"
+
+
+def ensure(
+    name: str, transitions: int = 0, progress: Progress = lambda done, total: None
+) -> DatasetCard:
+    """The data set, verified by its hashes; made first if it is absent, damaged or outdated.
+
+    Two processes may ask for the same set at once: one makes it, the other waits.
+
+    Raises:
+        UserError: unknown name or size, a damaged imported set, no space or no right to write.
+    """
+    parsed = DatasetName.parse(name)
+    folder = parsed.set_folder(transitions)
+    level = parsed.made_level
+    if level is None:
+        return _imported(folder)
+    recipe = _recipe(parsed.env_id, level, int(folder.name))
+    card, _ = _inspect(folder, recipe)
+    if card is not None:
+        return card
+    with locked(parsed):
+        card, fault = _inspect(folder, recipe)
+        if card is not None:  # another process made it while we waited
+            return card
+        if fault is not None:
+            _log.warning("making %s again: %s", folder, fault)
+        made = generate.generate(parsed.env_id, level, int(folder.name), _SEED, progress)
+        returns, incomplete = episode_returns(
+            np.stack(made.rewards).mean(axis=0, dtype=np.float64),  # the team's: the agents' mean
+            made.terminated,
+            made.truncated,
+            made.episodes,
+            registry.team_spec(parsed.env_id).max_episode_steps,
+        )
+        origin = f"made by otc_dist, seed {_SEED}"
+        provenance = Provenance(origin, recipe, versions("mujoco"), returns, incomplete)
+        return publish(parsed, made, provenance)
+
+
+def _recipe(env_id: str, level: generate.Level, transitions: int) -> dict[str, str]:
+    """All that determines the rows of a set that we make."""
+    recipe = {
+        "level": level,
+        "seed": str(_SEED),
+        "otc_dist": otc_dist.__version__,
+        "mujoco": version("mujoco"),
+    }
+    if level != "random":
+        used = {part.policy for part in generate.parts(env_id, level, transitions)}
+        for snapshot in load_card(PARTITIONS[env_id][0].name).snapshots:
+            if (stem := snapshot.file.removesuffix(".safetensors")) in used:
+                recipe[f"policy {stem}"] = snapshot.sha256
+    return recipe
+
+
+def _imported(folder: Path) -> DatasetCard:
+    card = DatasetCard.read(folder)
+    fault = card.fault(folder) if card else "its card is missing or damaged"
+    if card is None or fault:
+        raise UserError(f"{fault}; delete {folder} and import the data set again")
+    return card
+
+
+def _inspect(folder: Path, recipe: dict[str, str]) -> tuple[DatasetCard | None, str | None]:
+    """The card of the sound and current set in `folder`, or None and what is wrong with it."""
+    if not folder.exists():
+        return None, None
+    card = DatasetCard.read(folder)
+    if card is None:
+        return None, "its card is missing or damaged"
+    if card.recipe != recipe:
+        return None, "it was made by another recipe or version"
+    fault = card.fault(folder)
+    return (None, fault) if fault else (card, None)
+
+
+def load_joint(name: str, transitions: int = 0) -> JointTransitions:
+    """All agents' data, row-aligned, for analysis only: a learner may never see this.
+
+    Raises:
+        UserError: as `load_agent`, or files that are not of the same set.
+    """
+    parsed = DatasetName.parse(name)
+    folder = parsed.set_folder(transitions)
+    names = registry.team_spec(parsed.env_id).names
+    tensors = [load_tensors(folder / f"{agent}.safetensors", agent) for agent in names]
+    first = tensors[0]
+    for agent, other in zip(names, tensors, strict=True):
+        for shared in ("terminated", "truncated", "episodes"):
+            if not np.array_equal(first[shared], other[shared]):
+                raise UserError(f"{folder}: {agent} and {names[0]} are not of the same set")
+    return JointTransitions(
+        observations=tuple(t["observations"] for t in tensors),
+        actions=tuple(t["actions"] for t in tensors),
+        rewards=tuple(t["rewards"] for t in tensors),
+        next_observations=tuple(t["next_observations"] for t in tensors),
+        terminated=first["terminated"],
+        truncated=first["truncated"],
+        episodes=first["episodes"],
+    )

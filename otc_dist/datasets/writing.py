@@ -1,0 +1,177 @@
+"""Writing a data set: all of it or nothing, by one process at a time."""
+
+import errno
+import fcntl
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+import otc_dist
+from otc_dist.datasets.agent_files import FORMAT_VERSION, Header, encode
+from otc_dist.datasets.card import (
+    FILE_NAME,
+    AgentFile,
+    DatasetCard,
+    Summary,
+    file_sha256,
+    normalised_scores,
+)
+from otc_dist.datasets.joint import JointTransitions
+from otc_dist.datasets.names import DatasetName
+from otc_dist.envs import registry
+from otc_dist.errors import UserError
+from otc_dist.transitions import Float64
+
+_STAGING = ".making-"  # a set that is being written; never read
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a data set came about; see `DatasetCard` for the fields."""
+
+    origin: str
+    recipe: dict[str, str]
+    versions: dict[str, str]
+    returns: Float64  # team returns of the complete episodes
+    incomplete_episodes: int
+    notes: tuple[str, ...] = ()
+
+
+def versions(*packages: str) -> dict[str, str]:
+    """Versions of ourselves, NumPy and `packages`, for cards and headers."""
+    return {
+        "otc_dist": otc_dist.__version__,
+        "numpy": np.__version__,
+        **{package: version(package) for package in packages},
+    }
+
+
+@contextmanager
+def locked(name: DatasetName) -> Iterator[None]:
+    """Be the only process that writes sets of that name; a process that ends gives it free.
+
+    Raises:
+        UserError: the cache cannot be written or locked.
+    """
+    folder = name.folder
+    with _disk_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        with _disk_errors(folder):
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                _log.warning("another process is making %s; waiting for it", name)
+                fcntl.flock(handle, fcntl.LOCK_EX)
+        for left_behind in folder.glob(f"{_STAGING}*"):  # by a process that was killed
+            shutil.rmtree(left_behind, ignore_errors=True)
+        yield
+    finally:
+        os.close(handle)
+
+
+def publish(name: DatasetName, data: JointTransitions, made: Provenance) -> DatasetCard:
+    """Write a data set, all of it or nothing; the caller holds `locked`.
+
+    Raises:
+        UserError: the disk is full or cannot be written.
+        ValueError: data that are not finite or contradict the environment's sizes.
+    """
+    folder = name.folder / str(len(data))
+    with _disk_errors(folder):
+        staging = Path(tempfile.mkdtemp(prefix=_STAGING, dir=name.folder))
+        try:
+            staging.chmod(0o755)
+            card = _write(staging, name, data, made)
+            if folder.exists():  # damaged or outdated: open files of it stay readable
+                folder.rename(staging / "replaced")
+            staging.rename(folder)
+            shutil.rmtree(folder / "replaced", ignore_errors=True)
+            _sync_folder(folder.parent)
+        except BaseException:
+            shutil.rmtree(staging, ignore_errors=True)
+            raise
+    return card
+
+
+def _write(
+    folder: Path, name: DatasetName, data: JointTransitions, made: Provenance
+) -> DatasetCard:
+    files = {}
+    for index, agent in enumerate(registry.team_spec(name.env_id).agents):
+        header = Header(
+            format_version=FORMAT_VERSION,
+            dataset=str(name),
+            env_id=name.env_id,
+            agent=agent.name,
+            transitions=len(data),
+            observation_size=agent.observation_size,
+            action_size=agent.action_size,
+            origin=made.origin,
+            versions=made.versions,
+        )
+        path = folder / f"{agent.name}.safetensors"
+        _write_file(path, encode(header, data.of_agent(index), data.episodes))
+        files[agent.name] = AgentFile(
+            bytes=path.stat().st_size,
+            sha256=file_sha256(path),
+            observation_size=agent.observation_size,
+            action_size=agent.action_size,
+        )
+    card = DatasetCard(
+        name=str(name),
+        env_id=name.env_id,
+        transitions=len(data),
+        terminated=int(data.terminated.sum()),
+        truncated=int(data.truncated.sum()),
+        episodes=len(made.returns),
+        incomplete_episodes=made.incomplete_episodes,
+        returns=Summary.of(made.returns),
+        normalised_score=Summary.of(normalised_scores(name.env_id, made.returns)),
+        origin=made.origin,
+        recipe=made.recipe,
+        notes=made.notes,
+        versions=made.versions,
+        files=files,
+    )
+    _write_file(folder / FILE_NAME, card.to_json().encode())
+    return card
+
+
+def _write_file(path: Path, content: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def _disk_errors(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        advice = (
+            "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the folder"
+        )
+        raise UserError(
+            f"cannot write {folder}: {error.strerror}; {advice}, or set OTC_DIST_CACHE to another"
+        ) from None
