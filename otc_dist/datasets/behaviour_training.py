@@ -32,6 +32,7 @@ from otc_dist.transitions import Float64
 MEDIUM_RETURN = {"hopper": 1422.0, "halfcheetah": 4770.0, "walker2d": 2852.0}
 SNAPSHOTS = 10
 EVALUATION_EPISODES = 50
+CANDIDATES = 8  # the last iterations, among which the medium policy is chosen
 MAX_STEPS = 1_500_000
 
 History = list[tuple[int, Tensors]]  # (environment steps, policy) of every iteration
@@ -56,8 +57,8 @@ def evaluate(robot: str, tensors: Tensors, seed: int, purpose: str) -> Float64:
 def train(robot: str, seed: int, settings: Settings) -> History:
     """Train to the medium level; returns (steps, tensors) of every iteration up to it.
 
-    Where the level is not reached within `MAX_STEPS`, the last policy is the medium one; its
-    card says what it scores.
+    Where the level is not reached within `MAX_STEPS`, one of the last policies is the medium one;
+    its card says what it scores.
     """
     trainer, target = Trainer(robot, seed, settings), MEDIUM_RETURN[robot]
     history = [(0, trainer.snapshot())]
@@ -78,7 +79,23 @@ def train(robot: str, seed: int, settings: Settings) -> History:
             print(f"{robot} {trainer.steps:>8} steps evaluated {exact:8.1f}", flush=True)
             if exact >= 0.98 * target:
                 break
-    return history
+    return _up_to_medium(robot, seed, history)
+
+
+def _up_to_medium(robot: str, seed: int, history: History) -> History:
+    """Cut the history behind the one of its last policies that is nearest to the medium level.
+
+    Policies differ by more between iterations than the level asks for, and the one that ended
+    training was picked for a high score.
+    """
+
+    def distance(index: int) -> float:
+        score = float(evaluate(robot, history[index][1], seed, "choosing").mean())
+        print(f"{robot} {history[index][0]:>8} steps candidate {score:8.1f}", flush=True)
+        return abs(score - MEDIUM_RETURN[robot])
+
+    medium = min(range(max(0, len(history) - CANDIDATES), len(history)), key=distance)
+    return history[: medium + 1]
 
 
 def write(
