@@ -4,6 +4,7 @@ The same description and seed give the same run, to the byte.
 """
 
 import hashlib
+import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -28,88 +29,123 @@ class Section(BaseModel):
 
 
 class EnvSection(Section):
+    """The task, and how many copies of it the env host steps together."""
+
     id: str = Field(description="environment, for example hopper-3x1")
-    copies: int = Field(4, ge=1, description="E, environment copies stepping together")
+    copies: int = Field(default=4, ge=1, description="E, environment copies stepping together")
 
 
 class DatasetSection(Section):
+    """The offline data B_0 of every agent."""
+
     name: str = Field(description="B_0, for example hopper-3x1/medium-replay")
-    transitions: int = Field(0, ge=0, description="size of B_0; 0: the data set's usual size")
+    transitions: int = Field(
+        default=0, ge=0, description="size of B_0; 0: the data set's usual size"
+    )
 
 
 class AlgorithmSection(Section):
     """Base algorithm. Sizes and rates from Table 3 of the paper; the rest as in BCQ's code."""
 
     name: Literal["bcq"] = "bcq"
-    hidden: tuple[int, ...] = Field((64, 64), description="hidden layers of every network")
-    actor_learning_rate: float = Field(1e-4, gt=0)
-    critic_learning_rate: float = Field(1e-4, gt=0)
-    vae_learning_rate: float = Field(1e-3, gt=0, description="not in Table 3: BCQ's own code")
-    discount: float = Field(0.99, ge=0, lt=1)
-    batch_size: int = Field(128, ge=1)
-    target_rate: float = Field(0.005, gt=0, le=1, description="tau of the target networks")
-    target_candidates: int = Field(10, ge=1, description="actions decoded for a target")
-    acting_candidates: int = Field(100, ge=1, description="actions decoded to act")
-    perturbation: float = Field(0.05, ge=0, description="phi, in units of the action bound")
-    soft_minimum: float = Field(0.75, ge=0, le=1, description="weight of min in 0.75 min + 0.25 max")
+    hidden: tuple[int, ...] = Field(default=(64, 64), description="hidden layers of every network")
+    actor_learning_rate: float = Field(default=1e-4, gt=0)
+    critic_learning_rate: float = Field(default=1e-4, gt=0)
+    vae_learning_rate: float = Field(
+        default=1e-3, gt=0, description="not in Table 3: BCQ's own code"
+    )
+    discount: float = Field(default=0.99, ge=0, lt=1)
+    batch_size: int = Field(default=128, ge=1)
+    target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+    target_candidates: int = Field(default=10, ge=1, description="actions decoded for a target")
+    acting_candidates: int = Field(default=100, ge=1, description="actions decoded to act")
+    perturbation: float = Field(default=0.05, ge=0, description="phi, in units of the action bound")
+    soft_minimum: float = Field(
+        default=0.75, ge=0, le=1, description="weight of min in 0.75 min + 0.25 max"
+    )
 
 
 class EmbeddingSection(Section):
     """The conditional VAE of the embedding distance d_e, trained on B_0 only, then frozen."""
 
-    size: int = Field(10, ge=1, description="latent dimension (Table 3)")
-    hidden: tuple[int, ...] = Field((64, 64))
-    updates: int = Field(10_000, ge=1)
-    batch_size: int = Field(256, ge=1)
-    learning_rate: float = Field(1e-3, gt=0)
-    kl_weight: float = Field(1e-3, ge=0, description="small, or the latent collapses")
-    minimum_active: int = Field(4, ge=0, description="warn below this many active dimensions")
+    size: int = Field(default=10, ge=1, description="latent dimension (Table 3)")
+    hidden: tuple[int, ...] = Field(default=(64, 64))
+    updates: int = Field(default=10_000, ge=1)
+    batch_size: int = Field(default=256, ge=1)
+    learning_rate: float = Field(default=1e-3, gt=0)
+    kl_weight: float = Field(default=1e-3, ge=0, description="small, or the latent collapses")
+    minimum_active: int = Field(
+        default=4, ge=0, description="warn below this many active dimensions"
+    )
 
 
 class SamplingSection(Section):
     """How minibatches are drawn from B_k while tuning (Algorithm 1, lines 10 to 14)."""
 
     name: SamplingName = "otc"
-    distance: DistanceName = Field("embedding", description="d_e or d_q")
+    distance: DistanceName = Field(default="embedding", description="d_e or d_q")
     matching: Literal["minibatch", "exact"] = Field(
-        "minibatch", description="match against a minibatch D (the paper) or against all of D_k"
+        default="minibatch",
+        description="match against a minibatch D (the paper) or against all of D_k",
     )
-    candidates: int = Field(512, ge=1, description="|B|, Table 3")
-    references: int = Field(2000, ge=1, description="|D|, Table 3")
-    alpha: float = Field(1.0, ge=0, description="alpha_0")
-    adaptive: bool = Field(True, description="adapt alpha at each deployment (Eq. 4)")
-    alpha_bound: float = Field(0.0, ge=0, description="upper bound on alpha; 0: none")
-    with_replacement: bool = Field(False, description="sample Eq. 3 with replacement")
-    exclude_self: bool = Field(False, description="D_k's own transitions never match themselves")
-    normaliser: NormaliserName = Field("relative", description="of V(s') in d_q")
-    value_samples: int = Field(1, ge=1, description="actions a value V(s') is the mean of")
-    similarity_sample: int = Field(20_000, ge=1, description="rows of B that Eq. 4 uses with d_e")
+    candidates: int = Field(default=512, ge=1, description="|B|, Table 3")
+    references: int = Field(default=2000, ge=1, description="|D|, Table 3")
+    alpha: float = Field(default=1.0, ge=0, description="alpha_0")
+    adaptive: bool = Field(default=True, description="adapt alpha at each deployment (Eq. 4)")
+    alpha_bound: float = Field(default=0.0, ge=0, description="upper bound on alpha; 0: none")
+    with_replacement: bool = Field(default=False, description="sample Eq. 3 with replacement")
+    exclude_self: bool = Field(
+        default=False, description="D_k's own transitions never match themselves"
+    )
+    normaliser: NormaliserName = Field(default="relative", description="of V(s') in d_q")
+    value_samples: int = Field(default=1, ge=1, description="actions a value V(s') is the mean of")
+    similarity_sample: int = Field(
+        default=20_000, ge=1, description="rows of B that Eq. 4 uses with d_e"
+    )
 
 
 class OfflineSection(Section):
-    updates: int = Field(60_000, ge=0, description="offline updates to pi_0")
+    """Offline training to pi_0. Targets need 60,000 updates and more to settle (tau 0.005)."""
+
+    updates: int = Field(default=60_000, ge=0, description="offline updates to pi_0")
 
 
 class DeploymentSection(Section):
-    count: int = Field(10, ge=0, description="K, deployments")
-    fraction: float = Field(0.01, gt=0, le=1, description="M as a share of |B_0|")
-    transitions: int = Field(0, ge=0, description="M; 0: fraction of |B_0|")
-    updates: int = Field(4000, ge=0, description="L, updates after each deployment (Table 3)")
+    """The K deployments and the tuning after each."""
+
+    count: int = Field(default=10, ge=0, description="K, deployments")
+    fraction: float = Field(default=0.01, gt=0, le=1, description="M as a share of |B_0|")
+    transitions: int = Field(default=0, ge=0, description="M; 0: fraction of |B_0|")
+    updates: int = Field(
+        default=4000, ge=0, description="L, updates after each deployment (Table 3)"
+    )
 
 
 class EvaluationSection(Section):
-    episodes: int = Field(30, ge=0, description="greedy episodes after each tuning; 0: none")
+    """Greedy episodes apart from the M collected steps; never seen by a learner."""
+
+    episodes: int = Field(
+        default=30, ge=0, description="greedy episodes after each tuning; 0: none"
+    )
 
 
 class EngineSection(Section):
-    name: EngineName = Field("auto", description="auto resolves before the run starts")
+    """What runs the update steps (otc_dist/engine.py)."""
+
+    name: EngineName = Field(default="auto", description="auto resolves before the run starts")
 
 
 class BusSection(Section):
+    """Limits of the messages between processes."""
+
     answer_deadline: float = Field(
-        120.0, gt=0, description="seconds without a sign of life from a process before giving up"
+        default=120.0,
+        gt=0,
+        description="seconds without a sign of life from a process before giving up",
     )
-    maximum_payload: int = Field(16 * 2**20, ge=1024, description="bytes; larger is refused")
+    maximum_payload: int = Field(
+        default=16 * 2**20, ge=1024, description="bytes; larger is refused"
+    )
 
 
 class Description(Section):
@@ -117,8 +153,10 @@ class Description(Section):
 
     name: str
     summary: str = ""
-    seed: int = Field(0, ge=0, lt=2**31)
-    minibatch_key: int = Field(0, ge=0, description="varies only the tuning's minibatch draws")
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    minibatch_key: int = Field(
+        default=0, ge=0, description="varies only the tuning's minibatch draws"
+    )
     env: EnvSection
     dataset: DatasetSection
     algorithm: AlgorithmSection = AlgorithmSection()
@@ -177,7 +215,16 @@ class Description(Section):
 
     def digest(self) -> str:
         """Identifies the description: 16 hexadecimal digits of its canonical form's hash."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
+        return _hash(self.model_dump_json())
+
+    def offline_digest(self) -> str:
+        """Identifies what the offline policy pi_0 depends on, as `digest` does the whole."""
+        parts = {"seed", "dataset", "algorithm", "embedding", "offline"}
+        return _hash(self.model_dump_json(include=parts) + self.env.id)
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _assign(data: dict[str, object], assignment: str) -> None:
@@ -204,7 +251,12 @@ def _explain(problem: ErrorDetails, source: str) -> UserError:
     where = ".".join([*sections, key])
     if problem["type"] == "extra_forbidden":
         known = _fields(sections)
-        return UserError(f"{source}: {unknown('key', where, ['.'.join([*sections, k]) for k in known])}")
+        return UserError(
+            f"{source}: {unknown('key', where, ['.'.join([*sections, k]) for k in known])}"
+        )
+    if problem["type"] == "literal_error":
+        known = re.findall(r"'([^']*)'", problem.get("ctx", {}).get("expected", ""))
+        return UserError(f"{source}: {unknown(where, str(problem['input']), known)}")
     if problem["type"] == "missing":
         return UserError(f"{source}: {where} is missing; every description needs it")
     message = problem["msg"].removeprefix("Value error, ")

@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from otc_dist.cache import cache_root
-from otc_dist.cache import cache_root
 from otc_dist.datasets import store
 from otc_dist.datasets.card import DatasetCard, Summary
 from otc_dist.datasets.importers import import_file

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from otc_dist.cache import cache_root
-from otc_dist.cache import cache_root
 from otc_dist.datasets.generate import LEVELS, Level, default_transitions
 from otc_dist.envs import registry
 from otc_dist.envs.robot_specs import PARTITIONS

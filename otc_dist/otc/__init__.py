@@ -1,0 +1,15 @@
+"""Online transition correction: distances, matching, prioritization, adaptive alpha, samplers."""
+
+from otc_dist.algorithms.interface import Algorithm
+from otc_dist.description import SamplingSection
+from otc_dist.otc.samplers import Otc, Sampler, Uniform
+from otc_dist.transitions import RowLayout
+
+
+def create_sampler(
+    section: SamplingSection, algorithm: Algorithm, layout: RowLayout, batch_size: int
+) -> Sampler:
+    """The described sampling strategy."""
+    if section.name == "otc":
+        return Otc(algorithm, layout, section, batch_size)
+    return Uniform(batch_size, online_only=section.name == "online-only")

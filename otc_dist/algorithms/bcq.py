@@ -1,0 +1,211 @@
+"""BCQ: batch-constrained deep Q-learning (Fujimoto, Meger and Precup, ICML 2019).
+
+A conditional VAE imitates the behaviour policy; actions are decoded from it and perturbed a
+little; twin critics choose among them. Constants follow the authors' code where Table 3 of the
+OTC paper is silent.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.func import grad_and_value
+from torch.nn.functional import mse_loss
+
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.networks import Mlp, adam, polyak
+
+LATENT_CLIP = 0.5  # decoded actions use z ~ N(0, 1) clipped to +-0.5
+LOG_STD_RANGE = (-4.0, 15.0)
+KL_WEIGHT = 0.5
+
+
+@dataclass(frozen=True)
+class Bcq:
+    """BCQ for one agent with continuous actions in [-1, 1].
+
+    Attributes:
+        observation_size, action_size: the agent's own.
+        hidden: hidden layers of every network.
+        actor_learning_rate, critic_learning_rate: Table 3. The VAE's is BCQ's own.
+        target_candidates: actions decoded for the target; acting_candidates: to act.
+        perturbation: phi, the largest change the actor makes to a decoded action.
+        soft_minimum: lambda in  lambda min_j Q_j + (1 - lambda) max_j Q_j.
+    """
+
+    observation_size: int
+    action_size: int
+    hidden: tuple[int, ...]
+    actor_learning_rate: float
+    critic_learning_rate: float
+    vae_learning_rate: float
+    discount: float
+    target_rate: float
+    target_candidates: int
+    acting_candidates: int
+    perturbation: float
+    soft_minimum: float
+
+    metric_names: tuple[str, ...] = ("vae_loss", "critic_loss", "actor_loss", "q")
+
+    @property
+    def latent_size(self) -> int:
+        return 2 * self.action_size
+
+    @cached_property
+    def encoder(self) -> Mlp:
+        inputs = (self.observation_size, self.action_size)
+        return Mlp(inputs, self.hidden, 2 * self.latent_size)
+
+    @cached_property
+    def decoder(self) -> Mlp:
+        return Mlp((self.observation_size, self.latent_size), self.hidden, self.action_size)
+
+    @cached_property
+    def actor(self) -> Mlp:
+        return Mlp((self.observation_size, self.action_size), self.hidden, self.action_size)
+
+    @cached_property
+    def critic(self) -> Mlp:
+        return Mlp((self.observation_size, self.action_size), self.hidden, 1, copies=2)
+
+    def initial_state(self, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """Fresh parameters and moments; targets equal their networks.
+
+        Keys: vae (encoder then decoder), critic, actor, each with `_moments` (2, n);
+        critic_target, actor_target; updates (float64 scalar), the number of updates made.
+        """
+        vae = np.concatenate(
+            [self.encoder.initialise(random), self.decoder.initialise(random)], dtype=np.float32
+        )
+        critic = self.critic.initialise(random).astype(np.float32)
+        actor = self.actor.initialise(random).astype(np.float32)
+        moments = {
+            f"{name}_moments": np.zeros((2, len(parameters)), dtype=np.float32)
+            for name, parameters in (("vae", vae), ("critic", critic), ("actor", actor))
+        }
+        networks = {"vae": vae, "critic": critic, "actor": actor}
+        targets = {"critic_target": critic.copy(), "actor_target": actor.copy()}
+        return {**networks, **moments, **targets, "updates": np.zeros((), dtype=np.float64)}
+
+    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+        latent, candidates = self.latent_size, self.target_candidates
+        return {
+            "vae": Draw("normal", (batch_size, latent)),
+            "target": Draw("normal", (batch_size, candidates, latent)),
+            "actor": Draw("normal", (batch_size, latent)),
+        }
+
+    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+        """One update of the VAE, then the critics, then the actor, in the authors' order.
+
+        Each part sees the parameters that the part before it has just updated.
+        """
+        count = state["updates"] + 1
+        new = dict(state, updates=count)
+
+        gradient, vae_loss = grad_and_value(self.vae_loss)(state["vae"], batch, noise["vae"])
+        new["vae"], new["vae_moments"] = adam(
+            state["vae"], gradient, state["vae_moments"], count, self.vae_learning_rate
+        )
+
+        target = self.target(new, batch, noise["target"])
+        gradient, critic_loss = grad_and_value(self.critic_loss)(state["critic"], batch, target)
+        new["critic"], new["critic_moments"] = adam(
+            state["critic"], gradient, state["critic_moments"], count, self.critic_learning_rate
+        )
+
+        decoded = self.decode(new["vae"], batch.observation, noise["actor"])
+        gradient, actor_loss = grad_and_value(self.actor_loss)(
+            state["actor"], new["critic"], batch.observation, decoded
+        )
+        new["actor"], new["actor_moments"] = adam(
+            state["actor"], gradient, state["actor_moments"], count, self.actor_learning_rate
+        )
+
+        new["critic_target"] = polyak(state["critic_target"], new["critic"], self.target_rate)
+        new["actor_target"] = polyak(state["actor_target"], new["actor"], self.target_rate)
+        return new, torch.stack((vae_loss, critic_loss, actor_loss, target.mean()))
+
+    def vae_loss(self, vae: Tensor, batch: Batch, noise: Tensor) -> Tensor:
+        """mean (a - a_hat)^2 + 0.5 KL(N(mu, sigma) || N(0, 1)), KL as a mean over elements."""
+        encoded = self.encoder.apply(vae[: self.encoder.size], batch.observation, batch.action)
+        mean, log_std = encoded.chunk(2, dim=-1)
+        log_std = log_std.clamp(*LOG_STD_RANGE)
+        std = log_std.exp()
+        decoded = self.decode_latent(vae, batch.observation, mean + std * noise)
+        divergence = -0.5 * (1 + 2 * log_std - mean**2 - std**2).mean()
+        return mse_loss(decoded, batch.action) + KL_WEIGHT * divergence
+
+    def target(self, state: State, batch: Batch, noise: Tensor) -> Tensor:
+        """y = r + gamma max_{a'} [lambda min_j Q'_j(s', a') + (1 - lambda) max_j Q'_j(s', a')].
+
+        The maximum is over `target_candidates` actions decoded by the VAE and perturbed by the
+        target actor. At a terminal s', y = r.
+        """
+        s = batch.next_observation.unsqueeze(1)
+        actions = self.perturb(state["actor_target"], s, self.decode(state["vae"], s, noise))
+        q = self.critic.apply(state["critic_target"], s, actions).squeeze(-1)
+        mixed = self.soft_minimum * q.amin(0) + (1 - self.soft_minimum) * q.amax(0)
+        return batch.reward + self.discount * (1 - batch.terminated) * mixed.amax(-1)
+
+    def critic_loss(self, critic: Tensor, batch: Batch, target: Tensor) -> Tensor:
+        """Sum over the twins of mean (Q_j(s, a) - y)^2."""
+        q = self.critic.apply(critic, batch.observation, batch.action).squeeze(-1)
+        return ((q - target) ** 2).mean(-1).sum()
+
+    def actor_loss(
+        self, actor: Tensor, critic: Tensor, observations: Tensor, decoded: Tensor
+    ) -> Tensor:
+        """-mean Q_1(s, a + xi(s, a)) for decoded actions a, through which no gradient flows."""
+        return -self._first_q(
+            critic, observations, self.perturb(actor, observations, decoded)
+        ).mean()
+
+    def decode(self, vae: Tensor, observations: Tensor, noise: Tensor) -> Tensor:
+        """Actions decoded from standard normal `noise`, clipped as BCQ does."""
+        return self.decode_latent(vae, observations, noise.clamp(-LATENT_CLIP, LATENT_CLIP))
+
+    def decode_latent(self, vae: Tensor, observations: Tensor, latent: Tensor) -> Tensor:
+        """Actions in [-1, 1] decoded from latent vectors."""
+        return self.decoder.apply(vae[self.encoder.size :], observations, latent).tanh()
+
+    def perturb(self, actor: Tensor, observations: Tensor, actions: Tensor) -> Tensor:
+        """clip(a + phi tanh(xi(s, a)))."""
+        change = self.perturbation * self.actor.apply(actor, observations, actions).tanh()
+        return (actions + change).clamp(-1, 1)
+
+    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+        return {"act": Draw("normal", (copies, self.acting_candidates, self.latent_size))}
+
+    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+        """The best by Q_1 of `acting_candidates` decoded and perturbed actions."""
+        actions, q = self._candidates(state, observations, noise["act"])
+        best = q.argmax(-1)
+        return actions[torch.arange(len(actions), device=actions.device), best]
+
+    def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
+        return self._first_q(state["critic"], observations, actions)
+
+    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
+        return {"value": Draw("normal", (count, samples, self.latent_size))}
+
+    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+        """V(s): the mean of Q_1 over decoded and perturbed actions (B,)."""
+        return self._candidates(state, observations, noise["value"])[1].mean(-1)
+
+    def _candidates(
+        self, state: State, observations: Tensor, noise: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Decoded and perturbed actions (B, n, a) and their Q_1 (B, n)."""
+        s = observations.unsqueeze(1)
+        actions = self.perturb(state["actor"], s, self.decode(state["vae"], s, noise))
+        return actions, self._first_q(state["critic"], s, actions)
+
+    def _first_q(self, critic: Tensor, observations: Tensor, actions: Tensor) -> Tensor:
+        first = self.critic.first()
+        return first.apply(self.critic.first_parameters(critic), observations, actions).squeeze(-1)

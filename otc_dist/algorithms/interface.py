@@ -1,0 +1,79 @@
+"""What every algorithm offers: pure functions of (state, batch, noise).
+
+An algorithm object holds sizes and hyper-parameters only. Everything that changes lies in the
+state, a dictionary of tensors; everything random comes in as noise. So the same functions run
+compiled, in a CUDA graph, or eagerly, and a test can run them in float64.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from torch import Tensor
+
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.transitions import RowLayout
+
+State = dict[str, Tensor]
+
+
+class Batch(NamedTuple):
+    """B transitions of one agent, as tensors. Actions are scaled to [-1, 1]."""
+
+    observation: Tensor  # (B, s)
+    action: Tensor  # (B, a)
+    reward: Tensor  # (B,)
+    next_observation: Tensor  # (B, s)
+    terminated: Tensor  # (B,) 0 or 1
+
+
+def unpack(rows: Tensor, layout: RowLayout) -> Batch:
+    """Views of packed rows (B, width)."""
+    return Batch(
+        rows[:, layout.observation],
+        rows[:, layout.action],
+        rows[:, layout.reward],
+        rows[:, layout.next_observation],
+        rows[:, layout.terminated],
+    )
+
+
+class Algorithm(Protocol):
+    """An offline RL algorithm as pure functions."""
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Names of the values that `update` returns."""
+        ...
+
+    def initial_state(self, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """Fresh parameters, targets, moments and the update counter."""
+        ...
+
+    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+        """The random arrays that one `update` of a batch of this size needs."""
+        ...
+
+    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+        """One gradient update: the new state, and the values of `metric_names`."""
+        ...
+
+    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+        """The random arrays that `act` needs for `copies` observations."""
+        ...
+
+    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+        """Deployed actions (E, a) in [-1, 1] for observations (E, s)."""
+        ...
+
+    def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
+        """Q(s, a_i) (B,) of the online critic, without its gradient's sake."""
+        ...
+
+    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
+        """The random arrays that `value` needs for `count` states."""
+        ...
+
+    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+        """V(s) = E_a Q(s, a) (B,) over the policy's actions, by the samples in `noise`."""
+        ...

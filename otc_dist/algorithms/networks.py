@@ -1,0 +1,142 @@
+"""Networks as pure functions of one flat parameter vector, and Adam on such vectors.
+
+One contiguous vector per optimizer: the whole optimizer step is then a handful of operations,
+and a state dictionary holds a few tensors instead of a hundred.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import reduce
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import relu
+
+ADAM_BETAS = (0.9, 0.999)
+ADAM_EPSILON = 1e-8
+
+
+@dataclass(frozen=True)
+class Mlp:
+    """A ReLU multi-layer perceptron on the concatenation of some inputs; `copies` side by side.
+
+    Attributes:
+        inputs: sizes of the inputs, which may have different leading shapes that broadcast:
+            a state (B, 1, s) beside candidate actions (B, n, a) has its share of the first
+            layer computed once, not n times.
+        hidden: sizes of the hidden layers.
+        outputs: size of the output.
+        copies: number of independent networks, stacked (twin critics: 2).
+    """
+
+    inputs: tuple[int, ...]
+    hidden: tuple[int, ...]
+    outputs: int
+    copies: int = 1
+
+    @property
+    def _layers(self) -> list[tuple[int, int]]:
+        return list(pairwise((sum(self.inputs), *self.hidden, self.outputs)))
+
+    @property
+    def size(self) -> int:
+        """Number of parameters, all copies together."""
+        return self.copies * sum((fan_in + 1) * fan_out for fan_in, fan_out in self._layers)
+
+    def initialise(self, random: np.random.Generator) -> np.ndarray:
+        """Weights and biases uniform in +-1/sqrt(fan in) (torch.nn.Linear's default)."""
+        parts = []
+        for fan_in, fan_out in self._layers:
+            count = self.copies * (fan_in + 1) * fan_out
+            parts.append(random.uniform(-1.0, 1.0, count) / math.sqrt(fan_in))
+        return np.concatenate(parts)
+
+    def apply(self, parameters: Tensor, *inputs: Tensor) -> Tensor:
+        """Outputs (..., outputs) of the one copy, or (copies, ..., outputs) of several.
+
+        Args:
+            parameters: flat vector (size,).
+            inputs: one tensor (..., size) for each of `self.inputs`; leading shapes broadcast.
+        """
+        layers = self._split(parameters)
+        weight, bias = layers[0]
+        shares = torch.split(weight, list(self.inputs), dim=1)
+        products = [_times_first(x, share) for x, share in zip(inputs, shares, strict=True)]
+        hidden = _add_bias(reduce(torch.add, products), bias)
+        for weight, bias in layers[1:]:
+            hidden = _add_bias(_times(relu(hidden), weight), bias)
+        return hidden[0] if self.copies == 1 else hidden
+
+    def first(self) -> "Mlp":
+        """The shape of one copy alone; its parameters are `first_parameters`."""
+        return Mlp(self.inputs, self.hidden, self.outputs)
+
+    def first_parameters(self, parameters: Tensor) -> Tensor:
+        """The flat parameters of copy 0, for `first()`."""
+        return torch.cat([part[0].reshape(-1) for pair in self._split(parameters) for part in pair])
+
+    def _split(self, parameters: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Views of each layer's weight (copies, fan_in, fan_out) and bias (copies, fan_out)."""
+        layers, start = [], 0
+        for fan_in, fan_out in self._layers:
+            middle = start + self.copies * fan_in * fan_out
+            end = middle + self.copies * fan_out
+            weight = parameters[start:middle].view(self.copies, fan_in, fan_out)
+            layers.append((weight, parameters[middle:end].view(self.copies, fan_out)))
+            start = end
+        return layers
+
+
+def _times_first(value: Tensor, weight: Tensor) -> Tensor:
+    """(..., i) times (copies, i, o): (copies, ..., o)."""
+    rows = value.reshape(-1, value.shape[-1])
+    return torch.matmul(rows, weight).view(len(weight), *value.shape[:-1], weight.shape[-1])
+
+
+def _times(hidden: Tensor, weight: Tensor) -> Tensor:
+    """(copies, ..., i) times (copies, i, o): (copies, ..., o)."""
+    rows = hidden.reshape(len(weight), -1, weight.shape[1])
+    if weight.shape[-1] == 1:  # a matrix product with one output column is slow
+        product = (rows * weight.transpose(1, 2)).sum(-1, keepdim=True)
+    else:
+        product = torch.bmm(rows, weight)
+    return product.view(*hidden.shape[:-1], weight.shape[-1])
+
+
+def _add_bias(value: Tensor, bias: Tensor) -> Tensor:
+    return value + bias.view(len(bias), *[1] * (value.ndim - 2), bias.shape[-1])
+
+
+def adam(
+    parameters: Tensor,
+    gradient: Tensor,
+    moments: Tensor,
+    count: Tensor,
+    learning_rate: float,
+) -> tuple[Tensor, Tensor]:
+    """One step of Adam (Kingma and Ba, 2015), as torch.optim.Adam computes it.
+
+    Args:
+        parameters: (n,) flat parameters.
+        gradient: (n,).
+        moments: (2, n) first and second moments.
+        count: float64 scalar, this step's number (1 for the first). A tensor, since a Python
+            number would be compiled in.
+
+    Returns:
+        New parameters and moments.
+    """
+    beta1, beta2 = ADAM_BETAS
+    first = torch.lerp(moments[0], gradient, 1 - beta1)
+    second = beta2 * moments[1] + (1 - beta2) * gradient * gradient
+    size = (learning_rate / (1 - beta1**count)).to(parameters.dtype)
+    root = torch.sqrt(1 - beta2**count).to(parameters.dtype)
+    parameters = parameters - size * first / (second.sqrt() / root + ADAM_EPSILON)
+    return parameters, torch.stack((first, second))
+
+
+def polyak(target: Tensor, parameters: Tensor, rate: float) -> Tensor:
+    """Target parameters moved by `rate` (tau) towards `parameters`."""
+    return torch.lerp(target, parameters, rate)

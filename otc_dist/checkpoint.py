@@ -1,0 +1,92 @@
+"""Checkpoints: a learner's tensors and counters in one safetensors file, checked when read."""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from otc_dist.errors import UserError
+
+FORMAT = 1
+Arrays = dict[str, NDArray[np.generic]]
+
+
+@dataclass(frozen=True)
+class Progressed:
+    """What a checkpoint says beside its tensors.
+
+    Attributes:
+        agent: whose it is.
+        offline_digest: of what the offline policy depends on.
+        run_digest: of the whole description, which tuning depends on.
+        offline_updates: updates made offline.
+        tuned: k of the policy pi_k, or -1 while offline training is unfinished.
+        alpha, similarity: of the newest deployment (Eq. 4).
+    """
+
+    agent: str
+    offline_digest: str
+    run_digest: str
+    offline_updates: int
+    tuned: int
+    alpha: float
+    similarity: float
+
+
+def digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:
+    """16 hexadecimal digits that identify named arrays, to the bit."""
+    total = hashlib.sha256()
+    for name in sorted(arrays):
+        array = arrays[name]
+        total.update(f"{name}{array.dtype}{array.shape}".encode())
+        total.update(np.ascontiguousarray(array).tobytes())
+    return total.hexdigest()[:16]
+
+
+def write(path: Path, arrays: Mapping[str, NDArray[np.generic]], progressed: Progressed) -> None:
+    """Write atomically: a crash leaves the old file or the new one.
+
+    Raises:
+        UserError: the disk is full, or the folder cannot be written.
+    """
+    about = {"format": FORMAT, "digest": digest(arrays), **asdict(progressed)}
+    content = save(dict(arrays), metadata={"otc_dist": json.dumps(about)})
+    unfinished = path.with_name(path.name + ".partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with unfinished.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    except OSError as error:
+        unfinished.unlink(missing_ok=True)
+        raise UserError(f"cannot write the checkpoint {path}: {error.strerror}") from None
+
+
+def read(path: Path) -> tuple[Arrays, Progressed]:
+    """Read and check a checkpoint.
+
+    Raises:
+        UserError: missing, damaged (its digest does not fit), or of a newer format.
+    """
+    try:
+        with safe_open(path, framework="np") as file:
+            about = json.loads((file.metadata() or {})["otc_dist"])
+            arrays: Arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except FileNotFoundError:
+        raise UserError(f"no checkpoint at {path}") from None
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        raise UserError(f"the checkpoint {path} is damaged ({error}); delete it") from None
+    if (version := about.pop("format")) != FORMAT:
+        raise UserError(f"the checkpoint {path} has format {version}; this version reads {FORMAT}")
+    if about.pop("digest") != digest(arrays):
+        raise UserError(f"the checkpoint {path} is damaged (wrong digest); delete it")
+    return arrays, Progressed(**about)

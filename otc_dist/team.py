@@ -1,0 +1,55 @@
+"""All agents' brains in one process: the same run as the services' without a bus.
+
+For comparisons of many runs, for analysis, and for the tests that hold the distributed run
+against it. Each brain still sees its own transitions only.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from otc_dist.envs import registry
+from otc_dist.envs.rollout import Rollout
+from otc_dist.learner import Learner
+from otc_dist.transitions import JointStep, Transitions
+
+
+def deploy(learners: Sequence[Learner], deployment: int) -> list[JointStep]:
+    """Deployment k = 1..K by the policies pi_{k-1}: M / E joint steps."""
+    description = learners[0].description
+    env = registry.make(description.env.id, description.env.copies)
+    rollout = Rollout(env, description.seed, "deployment", deployment)
+    steps = []
+    for step in range(description.deployment.transitions // description.env.copies):
+        actions = [
+            learner.act(observations, "deployment", deployment, step)
+            for learner, observations in zip(learners, rollout.observations, strict=True)
+        ]
+        steps.append(rollout.advance(actions, (False,) * len(learners)))
+    env.close()
+    return steps
+
+
+def own_transitions(steps: Sequence[JointStep], agent: int) -> Transitions:
+    """What agent number `agent` keeps of a deployment: D_k in the order of (step, copy)."""
+    return Transitions.concatenate([step.of_agent(agent) for step in steps])
+
+
+def evaluate(learners: Sequence[Learner], deployment: int) -> Rollout:
+    """Play greedy episodes of the team pi_k, one a copy; the rollout holds their returns."""
+    description = learners[0].description
+    env = registry.make(description.env.id, description.evaluation.episodes)
+    rollout = Rollout(env, description.seed, "evaluation", deployment)
+    while not rollout.finished:
+        actions = [
+            learner.act(observations, "evaluation", deployment, rollout.step)
+            for learner, observations in zip(learners, rollout.observations, strict=True)
+        ]
+        rollout.advance(actions, (False,) * len(learners))
+    env.close()
+    return rollout
+
+
+def mean_return(rollout: Rollout) -> float:
+    """Mean team return of a rollout's counted episodes."""
+    return float(np.mean(rollout.episode_returns))

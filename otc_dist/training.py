@@ -1,0 +1,48 @@
+"""The training loop: blocks of updates with their random numbers drawn in bulk."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from otc_dist.algorithms.draws import to_tensors
+from otc_dist.algorithms.interface import State
+from otc_dist.engine import Update
+
+BLOCK = 100  # updates whose random numbers share one key
+
+DrawBlock = Callable[[int, int], Mapping[str, NDArray[np.generic]]]
+OnBlock = Callable[[State, int, list[float]], None]
+
+
+def train(
+    state: State,
+    update: Update,
+    draw_block: DrawBlock,
+    device: torch.device,
+    span: tuple[int, int],
+    on_block: OnBlock,
+) -> State:
+    """Updates [start, stop) of `span`; start is a multiple of BLOCK.
+
+    Args:
+        draw_block: the random arrays (count, ...) of block b, from (b, count). A function of the
+            block's number alone, so that training goes on after an interruption as if none
+            had been.
+        on_block: called after each block with the state, updates done, and the block's mean
+            metrics.
+
+    Returns:
+        The state after the last update.
+    """
+    for first in range(span[0], span[1], BLOCK):
+        count = min(BLOCK, span[1] - first)
+        draws = to_tensors(draw_block(first // BLOCK, count), device)
+        state, total = update(state, {name: array[0] for name, array in draws.items()})
+        total = total.clone()
+        for index in range(1, count):
+            state, metrics = update(state, {name: array[index] for name, array in draws.items()})
+            total += metrics
+        on_block(state, first + count, (total / count).tolist())
+    return state
