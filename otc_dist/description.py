@@ -155,7 +155,7 @@ class Description(Section):
     summary: str = ""
     seed: int = Field(default=0, ge=0, lt=2**31)
     minibatch_key: int = Field(
-        default=0, ge=0, description="varies only the tuning's minibatch draws"
+        default=0, ge=0, description="other minibatches while tuning"
     )
     env: EnvSection
     dataset: DatasetSection

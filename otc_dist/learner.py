@@ -289,7 +289,9 @@ class Learner:
             **self._algorithm.noise(self.description.algorithm.batch_size),
             **sampler.noise(),
         }
-        extent, key = self._extent(), self.description.minibatch_key
+        extent = self._extent()
+        # Offline training is common to all minibatch keys.
+        key = self.description.minibatch_key if deployment else 0
         alpha = np.float32(self._alpha.value)
 
         def draw_block(block: int, count: int) -> Mapping[str, NDArray[np.generic]]:
