@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass, field
 
-from otc_dist.bus.messages import Status
+from otc_dist.bus.keys import HOST
+from otc_dist.bus.status import Status
 
 from .forecast import Remaining
-
-HOST = "host"
 
 
 @dataclass
@@ -62,7 +61,7 @@ class Board:
         return self.newest.get(HOST)
 
 
-TRAINING = ("embedding", "offline", "tuning")
+TRAINING = ("offline", "embedding", "tuning")
 
 
 def place(status: Status) -> str:

@@ -4,14 +4,15 @@ import queue
 import shlex
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping
 
-from otc_dist.bus.messages import Status
+from otc_dist.bus.keys import HOST
+from otc_dist.bus.status import Status
 
 from . import descriptions
-from .board import HOST, Board
+from .board import Board
 from .forecast import Remaining
-from .observer import observe
+from .observer import observing
 from .plan import Plan
 from .run_record import RunRecord
 from .signals import Signals
@@ -49,10 +50,12 @@ def conduct(plan: Plan, record: RunRecord) -> int:
     with Signals() as signals:
         try:
             with Supervisor(signals) as supervisor:
-                _prepare(plan, supervisor, signals)
+                _complete(plan, plan.preparations, supervisor, signals)
                 with open_view(title) as view:
                     _run(plan, record, supervisor, signals, view)
-            _report(plan, record)
+                _complete(plan, plan.conclusions, supervisor, signals)
+            record.moved_to("finished", plan.folder)
+            print("\n".join(closing_lines(plan.folder)))
         except _StoppedError:
             assert signals.stop is not None
             record.moved_to("stopped", plan.folder)
@@ -66,22 +69,19 @@ def conduct(plan: Plan, record: RunRecord) -> int:
     return 0
 
 
-def _prepare(plan: Plan, supervisor: Supervisor, signals: Signals) -> None:
-    """Make B_0 and compile the updates, each in a process of its own, unless done before."""
-    if not plan.data_is_cached:
-        _complete("data", plan.prepare_data, supervisor, signals)
-
-
-def _complete(name: str, command: Sequence[str], supervisor: Supervisor, signals: Signals) -> None:
-    """Run a process, showing what it prints, until it has ended well."""
-    supervisor.start(name, command)
-    while name in supervisor.running:
-        if signals.stop:
-            raise _StoppedError
-        signals.wait(REFRESH)
-        for end in supervisor.ended():
-            if end.status != 0:
-                raise _DiedError(end)
+def _complete(
+    plan: Plan, commands: Mapping[str, tuple[str, ...]], supervisor: Supervisor, signals: Signals
+) -> None:
+    """Run commands one after the other, each to a good end, showing their progress."""
+    for name, command in commands.items():
+        supervisor.start(name, command, plan.folder.output(name), show_errors=True)
+        while name in supervisor.running:
+            if signals.stop:
+                raise _StoppedError
+            signals.wait(REFRESH)
+            for end in supervisor.ended():
+                if end.status != 0:
+                    raise _DiedError(end)
 
 
 def _run(
@@ -93,7 +93,7 @@ def _run(
     board = Board(plan.spec.names, Remaining(plan.parts))
     statuses: queue.SimpleQueue[Status] = queue.SimpleQueue()
     over: float | None = None  # when the host ended
-    with observe(plan.folder, record.run, statuses.put):
+    with observing(plan, record.run, statuses.put):
         while supervisor.running:
             signals.wait(REFRESH)
             while not statuses.empty():

@@ -43,8 +43,8 @@ def parts(description: Description, agents: int) -> list[Part]:
     evaluation = EPISODE_STEPS * step if description.evaluation.episodes else 0.0
     run = [
         Part("start", 0, START_SECONDS),
-        Part("embedding", 0, description.embedding.updates * embedding * scale),
         Part("offline", 0, description.offline.updates * update * scale),
+        Part("embedding", 0, description.embedding.updates * embedding * scale),
         Part("evaluation", 0, evaluation),
     ]
     for k in range(1, description.deployment.count + 1):

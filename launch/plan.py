@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from otc_dist.bus import keys
+from otc_dist.bus.keys import HOST, Keys
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
@@ -16,7 +16,6 @@ from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
 from . import forecast
-from .board import HOST
 
 # Bytes of one float32 number in a log, of one float64 of state; parameters in a checkpoint.
 _CHECKPOINT_BYTES = 2_000_000  # networks of Table 3's sizes, their targets and optimizers
@@ -30,6 +29,7 @@ class Process:
     command: tuple[str, ...]
     publishes: tuple[str, ...]
     hears: tuple[str, ...]
+    answers: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -46,21 +46,21 @@ class Plan:
         return forecast.parts(self.description, len(self.spec.agents))
 
     @property
-    def prepare_data(self) -> tuple[str, ...]:
-        """The command that makes B_0 if the cache lacks it."""
-        dataset = self.description.dataset
-        return (
-            *(sys.executable, "-m", "otc_dist.datasets", "make", dataset.name),
-            *("--transitions", str(dataset.transitions)),
-        )
+    def preparations(self) -> dict[str, tuple[str, ...]]:
+        """What is done before the processes start, each by a command: B_0, and compiled code."""
+        dataset, module = self.description.dataset, (sys.executable, "-m")
+        size = str(dataset.transitions)
+        steps: dict[str, tuple[str, ...]] = {
+            "data": (*module, "otc_dist.datasets", "make", dataset.name, "--transitions", size)
+        }
+        if self.description.engine.name != "eager":
+            steps["compile"] = (*module, "otc_dist.launch.compile", str(self.folder.root))
+        return steps
 
     @property
-    def data_is_cached(self) -> bool:
-        dataset = self.description.dataset
-        return all(
-            store.agent_file(dataset.name, agent, dataset.transitions).exists()
-            for agent in self.spec.names
-        )
+    def conclusions(self) -> dict[str, tuple[str, ...]]:
+        """What is done when the processes have ended, each by a command: the report."""
+        return {"report": (sys.executable, "-m", "otc_dist.report", str(self.folder.root))}
 
     @property
     def disk_bytes(self) -> int:
@@ -90,11 +90,15 @@ class Plan:
         )
         yield f"             {d.evaluation.episodes} greedy episodes after each tuning"
         yield f"engine       {d.engine.name}"
+        yield "first"
+        for name, command in self.preparations.items():
+            yield f"  {name}: {shlex.join(command)}"
         yield "processes"
         for process in self.processes:
             yield f"  {process.name}: {shlex.join(process.command)}"
-            yield from (f"      says   {key}" for key in process.publishes)
-            yield from (f"      hears  {key}" for key in process.hears)
+            yield from (f"      says    {key}" for key in process.publishes)
+            yield from (f"      hears   {key}" for key in process.hears)
+            yield from (f"      answers {key}" for key in process.answers)
         seconds = sum(part.seconds for part in self.parts)
         yield f"time         about {forecast.duration(seconds)}, and what the data take to make"
 
@@ -105,12 +109,13 @@ def make(description: Description, folder: RunFolder, run: str) -> Plan:
     Raises:
         UserError: an unknown environment.
     """
-    spec = registry.team_spec(description.env.id)
+    spec, keys = registry.team_spec(description.env.id), Keys(run)
     host = Process(
         HOST,
         (sys.executable, "-m", "otc_dist.services.env_host", "--run", str(folder.root)),
-        (*(keys.observation(run, a) for a in spec.names), keys.status(run, HOST)),
-        (*(keys.action(run, a) for a in spec.names), keys.spec(run)),
+        (*(keys.observation(agent) for agent in spec.names), keys.status(HOST)),
+        (*(keys.action(agent) for agent in spec.names),),
+        (*(keys.history(agent) for agent in spec.names), keys.spec),
     )
     learners = tuple(
         Process(
@@ -119,8 +124,9 @@ def make(description: Description, folder: RunFolder, run: str) -> Plan:
                 *(sys.executable, "-m", "otc_dist.services.learner"),
                 *("--run", str(folder.root), "--agent", agent),
             ),
-            (keys.action(run, agent), keys.status(run, agent)),
-            (keys.observation(run, agent), keys.history(run, agent)),
+            (keys.action(agent), keys.status(agent)),
+            (keys.observation(agent),),
+            (),
         )
         for agent in spec.names
     )

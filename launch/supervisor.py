@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -77,9 +77,11 @@ class Supervisor:
         name: str,
         command: Sequence[str],
         output: Path | None = None,
-        environment: Mapping[str, str] | None = None,
+        show_errors: bool = False,
     ) -> None:
         """Start a process; what it prints is appended to `output` (None: shown as it comes).
+
+        `show_errors`: its standard error, where progress is told, is shown as it comes.
 
         Must be called from the main thread: the kernel's death signal is tied to the thread.
         """
@@ -92,8 +94,8 @@ class Supervisor:
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=sink,
-                stderr=subprocess.STDOUT if sink else None,
-                env={**os.environ, **ONE_THREAD, "PYTHONUNBUFFERED": "1", **(environment or {})},
+                stderr=None if sink is None or show_errors else subprocess.STDOUT,
+                env={**os.environ, **ONE_THREAD, "PYTHONUNBUFFERED": "1"},
                 process_group=0,
                 preexec_fn=_die_with(os.getpid()) if sys.platform == "linux" else None,
             )

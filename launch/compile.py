@@ -1,0 +1,70 @@
+"""`python -m otc_dist.launch.compile RUN`: compile a run's updates once, before the learners start.
+
+They then load the code from the cache, instead of each compiling the same. What is compiled
+depends on the networks' and minibatches' sizes only, so a learner with a little made-up data and
+a few updates asks for all of it.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from otc_dist.description import Description
+from otc_dist.envs import registry
+from otc_dist.errors import run_main
+from otc_dist.learner import Learner, Progress
+from otc_dist.randomness import stream
+from otc_dist.run_folder import RunFolder
+from otc_dist.spec import AgentSpec
+from otc_dist.transitions import Transitions
+
+ROWS = 256  # of made-up data
+
+
+def main(argv: list[str]) -> int:
+    """Compile for every agent that differs in its sizes; agents of one size share the code."""
+    description = Description.load(RunFolder(Path(argv[0])).description)
+    agents = {
+        (agent.observation_size, agent.action_size): agent
+        for agent in registry.team_spec(description.env.id).agents
+    }
+    print("compiling the updates (about a minute; seconds if done before) ...", file=sys.stderr)
+    start = time.monotonic()
+    for agent in agents.values():
+        _exercise(description, agent)
+    print(f"compiled in {time.monotonic() - start:.0f} s", file=sys.stderr)
+    return 0
+
+
+def _exercise(description: Description, agent: AgentSpec) -> None:
+    short = description.with_assignments(
+        "offline.updates=1", "embedding.updates=1", "deployment.updates=1", "deployment.count=1",
+        "deployment.transitions=16", "embedding.minimum_active=0",
+    )  # fmt: skip
+    learner = Learner(short, agent, _made_up(agent, ROWS))
+    learner.pretrain(_ignore, lambda: None)
+    learner.tune(1, _made_up(agent, 16), _ignore)
+
+
+def _ignore(progress: Progress) -> None:
+    pass
+
+
+def _made_up(agent: AgentSpec, rows: int) -> Transitions:
+    random = stream(0, agent.name, "compile", rows)
+    low, high = np.array(agent.action_low), np.array(agent.action_high)
+    no = np.zeros(rows, dtype=np.bool_)
+    return Transitions(
+        observations=random.standard_normal((rows, agent.observation_size), np.float32),
+        actions=random.uniform(low, high, (rows, agent.action_size)).astype(np.float32),
+        rewards=random.standard_normal(rows, np.float32),
+        next_observations=random.standard_normal((rows, agent.observation_size), np.float32),
+        terminated=no,
+        truncated=no,
+    )
+
+
+if __name__ == "__main__":
+    run_main(main)
