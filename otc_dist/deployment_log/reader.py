@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 import zstandard
+from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, ChunkIndex, Header, Metadata
+from mcap.records import Channel, Chunk, ChunkIndex, Header, McapRecord, Metadata
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
@@ -114,6 +115,12 @@ def read_summary(path: Path) -> LogSummary:
         return LogSummary(log.header, False, log.steps(), {}, find_episodes(log.blocks(), agents))
 
 
+def _size(record: McapRecord) -> int:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.count
+
+
 class OpenLog:
     """An open log: `header`, `layout`, `finished`, and its steps as blocks of rows.
 
@@ -154,14 +161,15 @@ class OpenLog:
         self._file.close()
 
     def _find_header(self) -> LogHeader:
-        """The first intact copy of the header; leaves `first`, where an unfinished log's steps
-        begin.
+        """The first intact copy of the header.
+
+        Of an unfinished log only the channel's copy counts: right behind it, at `first`, the
+        steps begin, so where they begin is covered by a checksum, too.
         """
-        self.first = 0
-        found: LogHeader | None = None
+        self.first, before = 0, 0
         try:
             for record in StreamReader(
-                self._file, emit_chunks=False, record_size_limit=fmt.MAXIMUM_RECORD
+                self._file, emit_chunks=True, record_size_limit=fmt.MAXIMUM_RECORD
             ).records:
                 entries: dict[str, str] | None = None
                 if isinstance(record, Header) and record.profile != fmt.PROFILE:
@@ -169,18 +177,19 @@ class OpenLog:
                         f"{self.path} is an MCAP file of profile {record.profile!r}, not"
                         f" {fmt.PROFILE!r}: otc_dist did not write it"
                     )
-                if isinstance(record, Metadata) and record.name == fmt.HEADER:
+                if isinstance(record, Metadata) and record.name == fmt.HEADER and self.finished:
                     entries = unseal(record.metadata)
                 elif isinstance(record, Channel) and record.topic == fmt.TOPIC:
                     entries = unseal(record.metadata)
-                    self.first = self._file.tell()
+                    self.first = before + _size(record)
+                elif isinstance(record, Chunk) and not self.finished:
+                    break
                 if entries is not None:
-                    found = LogHeader.from_entries(entries, self.path)
-                if found is not None and (self.finished or self.first):
-                    return found
+                    return LogHeader.from_entries(entries, self.path)
+                before = self._file.tell()
         except _PARSE_ERRORS:
-            pass  # it ends before its steps begin, or what was changed does not parse
-        raise DamagedLogError(self.path, "its header is not readable")
+            pass  # it ends too early, or what was changed does not parse
+        raise DamagedLogError(self.path, "its header or its end is not readable")
 
     def _read_summary(self) -> Summary:
         # The mcap library does not check the summary's CRC.

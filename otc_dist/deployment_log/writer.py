@@ -53,7 +53,7 @@ class LogWriter:
             UserError: a step of so many copies does not fit into a record.
             OSError: the disk is full, ...
         """
-        partial = partial_path(path)
+        partial, prologue = partial_path(path), _prologue(header)
         path.parent.mkdir(parents=True, exist_ok=True)
         for existing in (path, partial):
             if existing.exists():
@@ -61,7 +61,7 @@ class LogWriter:
         # Appears under its name only with a whole header in it.
         temporary = path.with_name(path.name + ".new")
         with temporary.open("wb") as stream:
-            stream.write(_prologue(header))
+            stream.write(prologue)
             stream.flush()
             os.fsync(stream.fileno())
         temporary.rename(partial)
