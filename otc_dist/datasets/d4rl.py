@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from otc_dist.datasets.hdf5 import array
 from otc_dist.datasets.recording import Recording, flags, joint_sizes, numbers
 from otc_dist.datasets.resimulation import resimulate
 from otc_dist.errors import UserError
@@ -27,6 +28,7 @@ from otc_dist.transitions import Bool, Float32
 if TYPE_CHECKING:
     import h5py
 
+OPTIONAL = ("timeouts", "next_observations")
 REQUIRED = ("observations", "actions", "rewards", "terminals")
 
 
@@ -34,27 +36,31 @@ def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
     """Read an open file.
 
     Raises:
-        UserError: missing arrays, sizes other than the environment's, or bad values.
-        OSError: a damaged file.
+        UserError: damage, missing arrays, sizes other than the environment's, or bad values.
     """
-    if missing := [name for name in REQUIRED if name not in file]:
+    arrays = {name: array(file, name, source) for name in (*REQUIRED, *OPTIONAL)}
+    if missing := [name for name in REQUIRED if arrays[name] is None]:
         raise UserError(f"{source}: no {', '.join(missing)} in it; is this a D4RL file?")
+    present = {name: found for name, found in arrays.items() if found is not None}
     width, action_size = joint_sizes(spec, source)
-    observations = numbers(file["observations"][()], "observations", (-1, width), source)
+    observations = numbers(present["observations"], "observations", (-1, width), source)
     length = len(observations)
     if length == 0:
         raise UserError(f"{source} is empty")
-    actions = numbers(file["actions"][()], "actions", (length, action_size), source)
-    rewards = numbers(file["rewards"][()].reshape(-1), "rewards", (length,), source)
-    terminated = flags(file["terminals"][()], "terminals", length, source)
+    actions = numbers(present["actions"], "actions", (length, action_size), source)
+    rewards = numbers(present["rewards"].reshape(-1), "rewards", (length,), source)
+    terminated = flags(present["terminals"], "terminals", length, source)
     notes: tuple[str, ...] = ()
-    if "timeouts" in file:
-        timeouts = flags(file["timeouts"][()], "timeouts", length, source)
+    if "timeouts" in present:
+        timeouts = flags(present["timeouts"], "timeouts", length, source)
     else:
         timeouts = _timeouts(terminated, spec.max_episode_steps)
         notes = (f"no timeouts in the file: episodes were cut at {spec.max_episode_steps} steps",)
     ends = terminated | timeouts
-    successors, known = _successors(file, observations, ends, source)
+    given = present.get("next_observations")
+    if given is not None:
+        given = numbers(given, "next_observations", observations.shape, source)
+    successors, known = _successors(given, observations, ends)
     recording = Recording(
         observations=observations,
         actions=actions,
@@ -66,25 +72,25 @@ def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
         episodes=np.concatenate(([0], np.cumsum(ends[:-1]))).astype(np.int64),
         notes=notes,
     )
-    if known.all() or "infos/qpos" not in file or "infos/qvel" not in file:
+    if known.all():
         return recording
-    joints = (width + 1) // 2
-    qpos = numbers(file["infos/qpos"][()], "infos/qpos", (length, joints), source)
-    qvel = numbers(file["infos/qvel"][()], "infos/qvel", (length, joints), source)
+    qpos, qvel = (array(file, f"infos/{name}", source) for name in ("qpos", "qvel"))
+    if qpos is None or qvel is None:
+        return recording
+    shape = (length, (width + 1) // 2)
+    qpos = numbers(qpos, "infos/qpos", shape, source)
+    qvel = numbers(qvel, "infos/qvel", shape, source)
     return resimulate(recording, spec, qpos, qvel)
 
 
-def _successors(
-    file: "h5py.File", observations: Float32, ends: Bool, source: str
-) -> tuple[Float32, Bool]:
+def _successors(given: Float32 | None, observations: Float32, ends: Bool) -> tuple[Float32, Bool]:
     """Successors (T, O), and where they are the true ones (T,)."""
     following = np.roll(observations, -1, axis=0)
-    if "next_observations" not in file:
-        known = ~ends
-        known[-1] = False
-        return following, known
-    given = numbers(file["next_observations"][()], "next_observations", observations.shape, source)
-    known = ~(ends & (given == following).all(axis=1))
+    boundaries = ends.copy()
+    boundaries[-1] = True
+    if given is None:
+        return following, ~boundaries
+    known = ~(boundaries & (given == following).all(axis=1))
     return given, known
 
 

@@ -1,10 +1,9 @@
 """Import recordings that others made: D4RL's HDF5 files and Minari's data sets."""
 
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
-from otc_dist.datasets import d4rl, minari
+from otc_dist.datasets import d4rl, hdf5, minari
 from otc_dist.datasets.card import DatasetCard, episode_returns, file_sha256
 from otc_dist.datasets.names import DatasetName, plain
 from otc_dist.datasets.recording import Recording, split
@@ -33,20 +32,15 @@ def import_file(source: Path, level: str, env_id: str = "") -> DatasetCard:
         UserError: no such file, not of these formats, damaged, sizes other than the
             environment's, values that are not finite, a name that is taken; a full disk.
     """
-    h5py = _h5py()
     path = minari.data_file(source) if source.is_dir() else source
     if not path.is_file():
         raise UserError(f"no file {path}")
     recorded_in = minari.environment(path)
     spec = registry.team_spec(env_id or _guess(recorded_in or path.name))
     name = _name(spec.env_id, level)
-    try:
-        with h5py.File(path, "r") as file:
-            recording = _read(file, spec, str(path))
-        recipe = {"file": path.name, "sha256": file_sha256(path)}
-    except OSError as error:
-        reason = error.strerror or str(error).splitlines()[0]
-        raise UserError(f"{path} cannot be read as HDF5, or is damaged: {reason}") from None
+    with hdf5.opened(path) as file:
+        recording = _read(file, spec, str(path))
+    recipe = {"file": path.name, "sha256": file_sha256(path)}
     data, notes = split(recording, spec)
     if not len(data):
         raise UserError(f"{path}: nothing is left of it: {'; '.join(notes)}")
@@ -71,15 +65,6 @@ def import_file(source: Path, level: str, env_id: str = "") -> DatasetCard:
         return card
 
 
-def _h5py() -> ModuleType:
-    try:
-        import h5py
-    except ImportError:
-        raise UserError("importing needs h5py: pip install 'otc-dist[import]'") from None
-    module: ModuleType = h5py
-    return module
-
-
 def _guess(recorded_in: str) -> str:
     """The multi-agent environment of the robot with whose name `recorded_in` begins."""
     for env_id, (robot, agents) in PARTITIONS.items():
@@ -100,6 +85,6 @@ def _name(env_id: str, level: str) -> DatasetName:
 
 
 def _read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
-    if any(name.startswith("episode_") for name in file):
+    if any(name.startswith(minari.EPISODE) for name in hdf5.names(file, source)):
         return minari.read(file, spec, source)
     return d4rl.read(file, spec, source)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otc_dist.datasets.hdf5 import array, names
 from otc_dist.datasets.recording import Recording, flags, joint_sizes, numbers
 from otc_dist.errors import UserError
 from otc_dist.spec import TeamSpec
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     import h5py
 
 DATA_FILE = "main_data.hdf5"
+EPISODE = "episode_"
 _FIELDS = ("observations", "actions", "rewards", "terminations", "truncations")
 
 
@@ -53,27 +55,31 @@ def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
     """Read an open data file.
 
     Raises:
-        UserError: missing arrays, sizes other than the environment's, or bad values.
-        OSError: a damaged file.
+        UserError: damage, missing arrays, sizes other than the environment's, or bad values.
     """
-    names = [name for name in file if name.startswith("episode_")]
-    names.sort(key=lambda name: int(name.removeprefix("episode_")))
+    episodes = [name for name in names(file, source) if name.startswith(EPISODE)]
+    if bad := [name for name in episodes if not name.removeprefix(EPISODE).isdecimal()]:
+        raise UserError(f"{source}: {bad[0]} is no episode's name")
+    episodes.sort(key=lambda name: int(name.removeprefix(EPISODE)))
     width, action_size = joint_sizes(spec, source)
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in (*_FIELDS, "next", "episodes")}
-    for index, name in enumerate(names):
-        group, where = file[name], f"{source}: {name}"
+    for index, name in enumerate(episodes):
+        where = f"{source}: {name}"
+        group = {}
         for field in _FIELDS:
-            if not hasattr(group.get(field), "shape"):
+            found = array(file, f"{name}/{field}", source)
+            if found is None:
                 raise UserError(f"{where} has no array {field}; only plain vectors can be imported")
-        actions = numbers(group["actions"][()], "actions", (-1, action_size), where)
+            group[field] = found
+        actions = numbers(group["actions"], "actions", (-1, action_size), where)
         length = len(actions)
-        seen = numbers(group["observations"][()], "observations", (length + 1, width), where)
+        seen = numbers(group["observations"], "observations", (length + 1, width), where)
         parts["observations"].append(seen[:-1])
         parts["next"].append(seen[1:])
         parts["actions"].append(actions)
-        parts["rewards"].append(numbers(group["rewards"][()], "rewards", (length,), where))
+        parts["rewards"].append(numbers(group["rewards"], "rewards", (length,), where))
         for field in ("terminations", "truncations"):
-            parts[field].append(flags(group[field][()], field, length, where))
+            parts[field].append(flags(group[field], field, length, where))
         parts["episodes"].append(np.full(length, index, np.int64))
     if not sum(map(len, parts["rewards"])):
         raise UserError(f"{source} is empty")

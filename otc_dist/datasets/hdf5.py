@@ -1,0 +1,56 @@
+"""Reading HDF5 so that damage, which h5py reports by many exceptions, is one line for the user."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otc_dist.errors import UserError
+
+if TYPE_CHECKING:
+    import h5py
+
+_DAMAGE = (OSError, KeyError, RuntimeError, ValueError, TypeError, MemoryError)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator["h5py.File"]:
+    """An HDF5 file, open for reading.
+
+    Raises:
+        UserError: h5py is not installed, or this is no HDF5 file.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise UserError("importing needs h5py: pip install 'otc-dist[import]'") from None
+    with _damage(str(path)):
+        file = h5py.File(path, "r")
+    with file:
+        yield file
+
+
+def names(group: "h5py.Group", source: str) -> tuple[str, ...]:
+    """The names in a file or group. UserError if it is damaged."""
+    with _damage(source):
+        return tuple(group)
+
+
+def array(group: "h5py.Group", name: str, source: str) -> NDArray[Any] | None:
+    """An array of a file or group, or None if it has none of that name. UserError if damaged."""
+    with _damage(source):
+        if name not in group or not hasattr(group[name], "shape"):
+            return None
+        return np.asarray(group[name][()])
+
+
+@contextmanager
+def _damage(source: str) -> Iterator[None]:
+    try:
+        yield
+    except _DAMAGE as error:
+        reason = str(error.args[-1] if error.args else error).splitlines() or ["unreadable"]
+        raise UserError(f"{source} cannot be read as HDF5, or is damaged: {reason[0]}") from None
