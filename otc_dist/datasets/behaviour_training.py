@@ -30,10 +30,17 @@ from otc_dist.transitions import Float64
 
 # Mean returns of D4RL's `-medium-v2` data (Fu et al. 2020).
 MEDIUM_RETURN = {"hopper": 1422.0, "halfcheetah": 4770.0, "walker2d": 2852.0}
+# An initial deviation of 0.5 (Andrychowicz et al. 2021) teaches HalfCheetah several times as fast
+# as one of 1, since fewer actions are lost at their bounds, but Hopper three times as slowly.
+SETTINGS = {
+    "hopper": Settings(),
+    "halfcheetah": Settings(initial_std=0.5),
+    "walker2d": Settings(),
+}
 SNAPSHOTS = 10
 EVALUATION_EPISODES = 50
 CANDIDATES = 8  # the last iterations, among which the medium policy is chosen
-MAX_STEPS = 1_500_000
+MAX_STEPS = 1_200_000
 
 History = list[tuple[int, Tensors]]  # (environment steps, policy) of every iteration
 
@@ -157,7 +164,7 @@ def main(argv: list[str]) -> int:
     )
     options = parser.parse_args(argv)
     torch.set_num_threads(1)
-    settings = Settings()
+    settings = SETTINGS[options.robot]
     history = train(options.robot, options.seed, settings)
     write(options.robot, options.seed, settings, history, options.out)
     return 0

@@ -38,6 +38,7 @@ class Settings:
     clip: float = 0.2
     value_weight: float = 0.5
     gradient_norm: float = 0.5
+    initial_std: float = 1.0  # of the actions, whose bounds are -1 and 1
 
 
 class RunningMoments:
@@ -72,11 +73,11 @@ def _network(sizes: tuple[int, ...], last_gain: float) -> nn.Sequential:
 class ActorCritic(nn.Module):
     """Two separate 64x64 tanh networks over the normalised observation."""
 
-    def __init__(self, observations: int, actions: int) -> None:
+    def __init__(self, observations: int, actions: int, initial_std: float) -> None:
         super().__init__()
         self.actor = _network((observations, 64, 64, actions), 0.01)
         self.critic = _network((observations, 64, 64, 1), 1.0)
-        self.log_std = nn.Parameter(torch.zeros(actions))
+        self.log_std = nn.Parameter(torch.full((actions,), math.log(initial_std)))
 
     def log_probability(self, observations: Tensor, actions: Tensor) -> Tensor:
         """log pi(a|s) of unclipped actions (n, A): (n,)."""
@@ -111,7 +112,7 @@ class Trainer:
         self.robot, self.seed, self.settings = robot, seed, settings
         self.env = RobotEnv(single_agent_id(robot), settings.copies)
         agent = self.env.spec.agents[0]
-        self.model = ActorCritic(agent.observation_size, agent.action_size)
+        self.model = ActorCritic(agent.observation_size, agent.action_size, settings.initial_std)
         self.optimizer = torch.optim.Adam(
             self.model.parameters(), lr=settings.learning_rate, eps=1e-5
         )

@@ -1,0 +1,77 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from otc_dist.datasets import behaviour_training
+from otc_dist.datasets.behaviour import BehaviourPolicy
+from otc_dist.datasets.ppo import RunningMoments, Settings, Trainer
+
+SMALL = Settings(copies=3, horizon=8, epochs=2, minibatch=12)
+
+
+def _trained(seed):
+    trainer = Trainer("hopper", seed, SMALL)
+    for _ in range(3):
+        trainer.update(trainer.collect())
+    return trainer
+
+
+def test_training_is_a_function_of_the_seed():
+    first, second, other = (_trained(seed).snapshot() for seed in (1, 1, 2))
+    for name, values in first.items():
+        np.testing.assert_array_equal(values, second[name], strict=True)
+    assert not np.array_equal(first["layer_2.weight"], other["layer_2.weight"])
+
+
+def test_numpy_policy_acts_as_the_trained_network():
+    trainer = _trained(0)
+    policy = BehaviourPolicy(trainer.snapshot())
+    observations = trainer.env.observe()[0]
+    with torch.no_grad():
+        means = trainer.model.actor(trainer._normalised(observations, learn=False)).numpy()
+    noise = np.ones_like(means)
+    expected = np.clip(means + np.exp(trainer.model.log_std.detach().numpy()) * noise, -1, 1)
+    np.testing.assert_allclose(policy.act(observations, noise), expected, atol=1e-5)
+
+
+def test_running_moments_are_those_of_all_rows():
+    rows = np.random.default_rng(0).normal(3.0, 2.0, (100, 4))
+    moments = RunningMoments(4)
+    for part in np.split(rows, [1, 40, 70]):
+        moments.update(part)
+    np.testing.assert_allclose(moments.mean, rows.mean(axis=0), rtol=1e-4)
+    np.testing.assert_allclose(moments.variance, rows.var(axis=0), rtol=1e-3)
+
+
+def test_advantages_stop_at_an_episodes_end():
+    trainer = Trainer("hopper", 0, SMALL)
+    batch = trainer.collect()
+    advantages = trainer._advantages(batch)
+    batch.ends[4] = 1.0
+    batch.rewards[5:] = 100.0
+    changed = trainer._advantages(batch)
+    # An end in step 4 hides all that comes after it from the steps up to it.
+    batch.rewards[5:] = -100.0
+    np.testing.assert_array_equal(changed[:5], trainer._advantages(batch)[:5])
+    assert not np.array_equal(changed[5:], advantages[5:])
+
+
+def test_the_command_writes_snapshots_and_their_card(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(behaviour_training, "MAX_STEPS", 3 * 24)
+    monkeypatch.setattr(behaviour_training, "EVALUATION_EPISODES", 2)
+    monkeypatch.setitem(behaviour_training.SETTINGS, "hopper", SMALL)
+    assert behaviour_training.main(["hopper", "--seed", "3", "--out", str(tmp_path)]) == 0
+    card = json.loads((tmp_path / "hopper" / "card.json").read_text())
+    files = sorted(path.name for path in (tmp_path / "hopper").glob("*.safetensors"))
+    assert files == [row["file"] for row in card["snapshots"]]
+    assert card["medium"] == files[-1]
+    assert card["seed"] == 3
+    assert "hopper" in capsys.readouterr().out
+
+
+def test_help_names_the_robots(capsys):
+    with pytest.raises(SystemExit):
+        behaviour_training.main(["--help"])
+    assert "halfcheetah" in capsys.readouterr().out
