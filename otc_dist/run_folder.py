@@ -10,6 +10,7 @@ class RunFolder:
 
     description.toml                 the resolved description
     run.json                         command line, versions, start, state
+    dataset_card.json                what B_0 was
     deployments/deployment_01.mcap   one log a deployment, written by the env host
     evaluations/evaluation_00.json   greedy returns of pi_0, pi_1, ..., written by the env host
     agents/agent_0/                  one learner's own: checkpoints and metrics.jsonl
@@ -26,6 +27,10 @@ class RunFolder:
     @property
     def run_json(self) -> Path:
         return self.root / "run.json"
+
+    @property
+    def dataset_card(self) -> Path:
+        return self.root / "dataset_card.json"
 
     @property
     def results(self) -> Path:

@@ -1,0 +1,137 @@
+"""`results.json`: the raw numbers of a run, and what the tables are computed from."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+from otc_dist.report.run_data import Evaluation, RunData
+from otc_dist.report.statistics import Spread, improvement
+
+QUICK_LABEL = "a quick look, not a result"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One evaluation beside the offline one."""
+
+    deployment: int
+    returns: Spread
+    score: Spread | None  # normalised
+    length: float | None  # mean, steps
+    improvement: float | None  # percent of the offline return
+    gain: float | None  # difference in normalised score to the offline one
+
+
+def rows(run: RunData) -> list[Row]:
+    """One row an evaluation, in order of deployments."""
+    offline = offline_row(run)
+    made = [_row(evaluation) for evaluation in run.evaluations]
+    return [compare(row, offline) for row in made if row is not None]
+
+
+def offline_row(run: RunData) -> Row | None:
+    """The evaluation of pi_0, if it is there."""
+    return next((_row(e) for e in run.evaluations if e.deployment == 0), None)
+
+
+def _row(evaluation: Evaluation) -> Row | None:
+    returns = Spread.of(evaluation.returns)
+    if returns is None:
+        return None
+    length = Spread.of([float(value) for value in evaluation.lengths])
+    score = Spread.of(evaluation.normalised_scores)
+    return Row(evaluation.deployment, returns, score, length.mean if length else None, None, None)
+
+
+def compare(row: Row, offline: Row | None) -> Row:
+    """The row with its improvement over the offline one; the offline row itself has none."""
+    if offline is None or row.deployment == 0:
+        return row
+    gain = row.score.mean - offline.score.mean if row.score and offline.score else None
+    return Row(
+        row.deployment,
+        row.returns,
+        row.score,
+        row.length,
+        improvement(row.returns.mean, offline.returns.mean),
+        gain,
+    )
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What tuning brought: the last deployment, and the mean over all of them."""
+
+    last: Row
+    mean_return: float
+    mean_score: float | None
+    improvement: float | None  # of the mean over deployments, percent
+    gain: float | None  # of the mean over deployments, normalised score
+
+
+def tuned(run: RunData) -> Tuned | None:
+    """None before the first evaluation after a deployment."""
+    after = [row for row in rows(run) if row.deployment > 0]
+    if not after:
+        return None
+    offline = offline_row(run)
+    mean_return = sum(row.returns.mean for row in after) / len(after)
+    scores = [row.score.mean for row in after if row.score]
+    mean_score = sum(scores) / len(scores) if len(scores) == len(after) else None
+    return Tuned(
+        after[-1],
+        mean_return,
+        mean_score,
+        improvement(mean_return, offline.returns.mean) if offline else None,
+        mean_score - offline.score.mean
+        if mean_score is not None and offline and offline.score
+        else None,
+    )
+
+
+def results(run: RunData) -> dict[str, object]:
+    """The contents of results.json."""
+    summary = tuned(run)
+    return {
+        "run": run.record.get("run"),
+        "label": QUICK_LABEL if run.quick else None,
+        "complete": run.complete,
+        "state": run.record.get("state"),
+        "missing": run.problems,
+        "name": run.description.name,
+        "environment": run.description.env.id,
+        "dataset": run.card or {"name": run.description.dataset.name},
+        "seed": run.description.seed,
+        "description_digest": run.description.digest(),
+        "command": run.record.get("command"),
+        "versions": run.record.get("versions"),
+        "started": run.record.get("started"),
+        "wall_seconds": run.wall_seconds,
+        "deployments": run.deployments,
+        "evaluations": [asdict(evaluation) for evaluation in run.evaluations],
+        "table": [asdict(row) for row in rows(run)],
+        "tuned": asdict(summary) if summary else None,
+        "agents": {
+            agent.name: {
+                "active_dimensions": agent.last("embedding", "active_dimensions"),
+                "tunings": [asdict(agent.tunings[k]) for k in sorted(agent.tunings)],
+            }
+            for agent in run.agents
+        },
+    }
+
+
+def to_json(contents: Mapping[str, object]) -> str:
+    """Strict JSON: numbers that are not finite become null."""
+    return json.dumps(_plain(contents), indent=1, allow_nan=False) + "\n"
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,199 @@
+"""What a run folder holds so far, read without trust: what is missing or damaged is noted."""
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import TypeVar
+
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+from otc_dist.run_folder import RunFolder
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Greedy episodes of the team pi_k, one entry an episode."""
+
+    deployment: int  # k; 0: the offline policies
+    returns: list[float]
+    lengths: list[int]
+    seeds: list[int]
+    normalised_scores: list[float]  # empty where the task has no reference returns
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Eq. 4's outcome at one deployment, for one agent."""
+
+    deployment: int
+    alpha: float
+    similarity: float
+
+
+@dataclass
+class AgentHistory:
+    """What one learner reported."""
+
+    name: str
+    tunings: dict[int, Tuning] = field(default_factory=dict)  # by deployment
+    # phase -> metric -> update -> value; of tuning, updates are counted on over deployments
+    curves: dict[str, dict[str, dict[int, float]]] = field(default_factory=dict)
+
+    def last(self, phase: str, metric: str) -> float | None:
+        """The newest value of a metric."""
+        values = self.curves.get(phase, {}).get(metric)
+        return values[max(values)] if values else None
+
+
+@dataclass(frozen=True)
+class RunData:
+    """A run as far as it has come."""
+
+    folder: RunFolder
+    description: Description
+    record: dict[str, object]  # run.json
+    card: dict[str, object] | None  # of the data set
+    evaluations: list[Evaluation]  # in order of k
+    agents: list[AgentHistory]
+    deployments: int  # finished ones
+    wall_seconds: float | None
+    problems: list[str]  # what is missing or damaged, one line each
+
+    @property
+    def quick(self) -> bool:
+        return self.record.get("quick") is True
+
+    @property
+    def complete(self) -> bool:
+        """All deployments took place, and all evaluations that were asked for."""
+        count = self.description.deployment.count
+        wanted = set(range(count + 1)) if self.description.evaluation.episodes else set()
+        return self.deployments >= count and wanted <= {e.deployment for e in self.evaluations}
+
+
+def read_run(folder: RunFolder) -> RunData:
+    """Read a run folder.
+
+    Raises:
+        UserError: it is no run folder, or its description cannot be read.
+    """
+    if not folder.description.exists():
+        raise UserError(f"{folder.root} is no run folder: it has no {folder.description.name}")
+    description = Description.load(folder.description)
+    problems: list[str] = []
+
+    record = _attempt(folder.run_json, _read_object, problems)
+    card = _attempt(folder.dataset_card, _read_object, problems)
+    evaluations = []
+    for k in range(description.deployment.count + 1):
+        path = folder.evaluation(k)
+        if path.exists():
+            evaluation = _attempt(path, _read_evaluation, problems)
+            if evaluation is not None:
+                evaluations.append(evaluation)
+    deployments = sum(
+        folder.deployment(k).exists() for k in range(1, description.deployment.count + 1)
+    )
+    agents_folder = folder.root / "agents"
+    names = sorted(p.name for p in agents_folder.iterdir()) if agents_folder.is_dir() else []
+    agents = [
+        history
+        for name in names
+        if (history := _attempt(folder.metrics(name), _read_history, problems)) is not None
+    ]
+    if not agents:
+        problems.append("no agent has reported yet")
+    return RunData(
+        folder=folder,
+        description=description,
+        record=record or {},
+        card=card,
+        evaluations=evaluations,
+        agents=agents,
+        deployments=deployments,
+        wall_seconds=_wall_seconds(folder, record or {}),
+        problems=problems,
+    )
+
+
+def _attempt(path: Path, read: Callable[[Path], T], problems: list[str]) -> T | None:
+    try:
+        return read(path)
+    except FileNotFoundError:
+        problems.append(f"{path.name} is missing")
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        problems.append(f"{path.name} cannot be read: {type(error).__name__}")
+    return None
+
+
+def _read_object(path: Path) -> dict[str, object]:
+    value = json.loads(path.read_bytes())
+    if not isinstance(value, dict):
+        raise TypeError("not a JSON object")
+    return value
+
+
+def _read_evaluation(path: Path) -> Evaluation:
+    data = json.loads(path.read_bytes())
+    evaluation = Evaluation(
+        deployment=int(data["deployment"]),
+        returns=[float(value) for value in data["returns"]],
+        lengths=[int(value) for value in data.get("lengths") or ()],
+        seeds=[int(value) for value in data.get("seeds") or ()],
+        normalised_scores=[float(value) for value in data.get("normalised_scores") or ()],
+    )
+    if not evaluation.returns or not all(map(math.isfinite, evaluation.returns)):
+        raise ValueError("no returns, or a return that is not finite")
+    return evaluation
+
+
+def _read_history(path: Path) -> AgentHistory:
+    history = AgentHistory(path.parent.name)
+    for line in _lines(path):
+        phase, deployment = str(line["phase"]), int(str(line["deployment"]))
+        metrics, update = line["metrics"], int(str(line["update"]))
+        if not isinstance(metrics, dict):
+            raise TypeError("metrics are no JSON object")
+        if phase == "tuning":
+            # A learner that was restarted repeats itself: the same values at the same places.
+            update += (deployment - 1) * int(str(line["updates"]))
+            if "alpha" in metrics and "similarity" in metrics:
+                history.tunings[deployment] = Tuning(
+                    deployment, _number(metrics["alpha"]), _number(metrics["similarity"])
+                )
+        curves = history.curves.setdefault(phase, {})
+        for name, value in metrics.items():
+            curves.setdefault(str(name), {})[update] = _number(value)
+    return history
+
+
+def _number(value: object) -> float:
+    return math.nan if value is None else float(str(value))
+
+
+def _lines(path: Path) -> Iterator[dict[str, object]]:
+    """The JSON objects of a file, one a line; a last line that was cut off is left out."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    for i, text in enumerate(lines):
+        try:
+            yield json.loads(text)
+        except ValueError:
+            if i != len(lines) - 1:
+                raise
+
+
+def _wall_seconds(folder: RunFolder, record: dict[str, object]) -> float | None:
+    """From the start to the end, or to the newest result where no end is noted."""
+    try:
+        started = datetime.fromisoformat(str(record["started"])).timestamp()
+        if record.get("finished"):
+            return datetime.fromisoformat(str(record["finished"])).timestamp() - started
+    except (KeyError, ValueError):
+        return None
+    results = [*folder.root.glob("evaluations/*.json"), *folder.root.glob("agents/*/metrics.jsonl")]
+    return max(p.stat().st_mtime for p in results) - started if results else None
