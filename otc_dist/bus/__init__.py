@@ -1,0 +1,1 @@
+"""The bus: keys, messages, sessions, lock-step. The only code that knows Zenoh."""

@@ -1,0 +1,209 @@
+"""Lock-step by stop-and-wait: nothing here needs a message to arrive.
+
+The env host publishes a question to every agent and publishes it again until each has answered
+this very moment (phase, deployment, epoch, step). A learner answers a question that it meets
+again with the same bytes. So a lost message, a link that was cut, a slow or a restarted learner
+costs time and nothing else.
+"""
+
+import queue
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Generic, TypeVar
+
+from otc_dist.bus.keys import HOST, Keys
+from otc_dist.bus.messages import Action, AgentCodec, Moment, Observation
+from otc_dist.bus.session import Session
+from otc_dist.bus.status import BUSY, StatusBoard
+from otc_dist.bus.wire import RejectedError, Rejections
+from otc_dist.spec import AgentSpec
+
+T = TypeVar("T")
+
+_FIRST_REPEAT = 0.05  # seconds until a question is asked again; doubles
+_SLOWEST_REPEAT = 1.0
+_LONGEST_QUEUE = 256  # messages; beyond, the oldest are dropped (they will be repeated)
+
+
+class GaveUpError(Exception):
+    """A deadline passed without a sign of life. The message is one line that names who and what."""
+
+
+class _Inbox(Generic[T]):
+    """A bounded queue: filled by Zenoh's thread, emptied by the one that works."""
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[T] = queue.SimpleQueue()
+
+    def put(self, item: T) -> None:
+        if self._queue.qsize() >= _LONGEST_QUEUE:
+            self.get(0)
+        self._queue.put(item)
+
+    def get(self, timeout: float) -> T | None:
+        """The oldest item; None if none comes within `timeout` seconds."""
+        try:
+            return self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
+        except queue.Empty:
+            return None
+
+
+class HostLockstep:
+    """The env host's side: ask all agents, wait for all answers.
+
+    Args:
+        copies: E, by phase.
+        deadline: seconds without a sign of life from an agent that has not answered, after which
+            `ask` gives up. An answer or a status that says the learner is busy is a sign of life;
+            a status that says it is ready is none.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        keys: Keys,
+        agents: Sequence[AgentSpec],
+        copies: Mapping[str, int],
+        deadline: float,
+        rejections: Rejections,
+    ) -> None:
+        self._codecs = [AgentCodec(keys.run, agent, copies) for agent in agents]
+        self._names = [agent.name for agent in agents]
+        self._rejections, self._deadline = rejections, deadline
+        self._inbox: _Inbox[tuple[int, bytes]] = _Inbox()
+        self._board = StatusBoard(session, keys, tuple(self._names), rejections)
+        for index, agent in enumerate(self._names):
+            session.subscribe(keys.action(agent), self._receiver(index))
+        self._puts = [session.publisher(keys.observation(agent)) for agent in self._names]
+
+    def _receiver(self, index: int) -> Callable[[bytes], None]:
+        return lambda payload: self._inbox.put((index, payload))
+
+    def ask(self, questions: Sequence[Observation], *, acting: bool) -> list[Action]:
+        """One question and one answer for each agent, in the agents' order.
+
+        Args:
+            questions: of one moment.
+            acting: whether answers hold actions.
+
+        Raises:
+            GaveUpError: an agent showed no sign of life for `deadline` seconds.
+        """
+        moment = questions[0].moment
+        payloads = [
+            codec.encode_observation(question)
+            for codec, question in zip(self._codecs, questions, strict=True)
+        ]
+        answers: dict[int, Action] = {}
+        asked = time.monotonic()
+        repeat, next_repeat = _FIRST_REPEAT, asked + _FIRST_REPEAT
+        for put, payload in zip(self._puts, payloads, strict=True):
+            put(payload)
+        while len(answers) < len(payloads):
+            now = time.monotonic()
+            if now >= next_repeat:
+                self._check_deadline(asked, moment, answers)
+                for index, payload in enumerate(payloads):
+                    if index not in answers:
+                        self._puts[index](payload)
+                repeat = min(2 * repeat, _SLOWEST_REPEAT)
+                next_repeat = now + repeat
+            item = self._inbox.get(next_repeat - now)
+            if item is not None:
+                self._accept(item, moment, acting, answers)
+        return [answers[index] for index in range(len(payloads))]
+
+    def _accept(
+        self, item: tuple[int, bytes], moment: Moment, acting: bool, answers: dict[int, Action]
+    ) -> None:
+        index, payload = item
+        try:
+            answer = self._codecs[index].decode_action(payload, moment, acting=acting)
+            if index in answers:
+                raise RejectedError("duplicate")
+            answers[index] = answer
+        except RejectedError as rejected:
+            self._rejections.count(rejected)
+
+    def _check_deadline(self, asked: float, moment: Moment, answers: Mapping[int, Action]) -> None:
+        now = time.monotonic()
+        for index, agent in enumerate(self._names):
+            if index in answers:
+                continue
+            newest = self._board.newest(agent)
+            busy = newest is not None and newest.phase in BUSY
+            sign = max(asked, self._board.heard(agent)) if busy else asked
+            if now - sign > self._deadline:
+                what = f"{moment.phase} {moment.deployment}, step {moment.step}"
+                state = f"it says {newest.phase!r}" if newest else "it was never heard of"
+                raise GaveUpError(
+                    f"no answer from {agent} for {self._deadline:g} s ({state}) to {what}"
+                    f"{self._rejection_hint()}"
+                )
+
+    def _rejection_hint(self) -> str:
+        counts = self._rejections.as_metrics()
+        if not counts:
+            return ""
+        listed = ", ".join(f"{key.removeprefix('rejected/')} {n:.0f}" for key, n in counts.items())
+        return f"; rejected messages: {listed}"
+
+
+class LearnerLockstep:
+    """A learner's side: the newest question, and the answer to it."""
+
+    def __init__(
+        self,
+        session: Session,
+        keys: Keys,
+        agent: AgentSpec,
+        copies: Mapping[str, int],
+        rejections: Rejections,
+    ) -> None:
+        self._codec = AgentCodec(keys.run, agent, copies)
+        self._rejections = rejections
+        self._inbox: _Inbox[bytes] = _Inbox()
+        self._newest: Moment | None = None
+        self._put = session.publisher(keys.action(agent.name))
+        self._host = StatusBoard(session, keys, (HOST,), rejections)
+        self._started = time.monotonic()
+        session.subscribe(keys.observation(agent.name), self._inbox.put)
+
+    def question(self, timeout: float) -> Observation | None:
+        """The newest question that waits; None if none comes within `timeout` seconds.
+
+        Questions that the run has left behind (an older epoch, an earlier moment) are rejected; the
+        same moment is given again when it is asked again.
+        """
+        newest: Observation | None = None
+        payload = self._inbox.get(timeout)
+        while payload is not None:
+            try:
+                newest = self._in_order(self._codec.decode_observation(payload))
+            except RejectedError as rejected:
+                self._rejections.count(rejected)
+            payload = self._inbox.get(0)
+        return newest
+
+    def _in_order(self, question: Observation) -> Observation:
+        moment, newest = question.moment, self._newest
+        if newest is not None:
+            if moment.epoch < newest.epoch:
+                raise RejectedError("epoch")
+            if moment.epoch == newest.epoch and moment.position < newest.position:
+                raise RejectedError("stale")
+        self._newest = moment
+        return question
+
+    def answer(self, action: Action) -> None:
+        self._put(self._codec.encode_action(action))
+
+    def host_silence(self) -> float:
+        """Seconds since the env host was last heard of, or since this side began."""
+        return time.monotonic() - max(self._started, self._host.heard(HOST))
+
+    @property
+    def host_phase(self) -> str:
+        """What the env host said last that it does; empty before that."""
+        newest = self._host.newest(HOST)
+        return newest.phase if newest else ""

@@ -1,0 +1,119 @@
+"""Signs of life: each process says twice a second what it does; who cares keeps the newest."""
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from otc_dist.bus.keys import Keys
+from otc_dist.bus.messages import Status, decode_status, encode_status
+from otc_dist.bus.session import Session
+from otc_dist.bus.wire import RejectedError, Rejections
+
+_PERIOD = 0.5  # seconds between two statuses of a process
+
+# What a learner may be busy with while the env host waits for it.
+BUSY = frozenset({"starting", "embedding", "offline", "tuning"})
+
+
+class Heartbeat:
+    """Publishes what this process does, twice a second, from a thread of its own.
+
+    So a process that compiles or trains still shows that it lives. Use it as a context manager:
+    leaving it publishes once more and ends the thread.
+
+    Args:
+        describe: called on the heartbeat's thread; its `rate` and rejections are filled in here.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        keys: Keys,
+        process: str,
+        rejections: Rejections,
+        describe: Callable[[], Status],
+    ) -> None:
+        self._put = session.publisher(keys.status(process))
+        self._run, self._rejections, self._describe = keys.run, rejections, describe
+        self._before = (time.monotonic(), Status(process))
+        self._stop, self._lock = threading.Event(), threading.Lock()
+        self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+
+    def publish(self) -> None:
+        """Say it now: at the beginning and the end of a phase."""
+        with self._lock:
+            status = self._describe()
+            metrics = {**status.metrics, **self._rejections.as_metrics()}
+            status = replace(status, rate=self._rate(status), metrics=metrics)
+            self._put(encode_status(self._run, status))
+
+    def _rate(self, status: Status) -> float:
+        """Updates a second since the last measurement in the same phase."""
+        now, (then, before) = time.monotonic(), self._before
+        if (status.phase, status.deployment) != (before.phase, before.deployment):
+            self._before = (now, status)
+            return 0.0
+        if now - then < _PERIOD / 2:
+            return before.rate
+        rate = max(0.0, (status.update - before.update) / (now - then))
+        self._before = (now, replace(status, rate=rate))
+        return rate
+
+    def _beat(self) -> None:
+        while not self._stop.wait(_PERIOD):
+            self.publish()
+
+    def __enter__(self) -> "Heartbeat":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.publish()
+
+
+class StatusBoard:
+    """The newest status of each watched process, and when it came.
+
+    Args:
+        on_status: called on Zenoh's thread with each accepted status; it must be quick.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        keys: Keys,
+        processes: tuple[str, ...],
+        rejections: Rejections,
+        on_status: Callable[[Status], None] | None = None,
+    ) -> None:
+        self._run, self._rejections, self._on_status = keys.run, rejections, on_status
+        self._newest: dict[str, tuple[float, Status]] = {}
+        for process in processes:
+            session.subscribe(keys.status(process), self._receiver(process))
+
+    def _receiver(self, process: str) -> Callable[[bytes], None]:
+        def receive(payload: bytes) -> None:
+            try:
+                status = decode_status(payload, self._run, process)
+            except RejectedError as rejected:
+                self._rejections.count(rejected)
+                return
+            self._newest[process] = (time.monotonic(), status)
+            if self._on_status is not None:
+                self._on_status(status)
+
+        return receive
+
+    def newest(self, process: str) -> Status | None:
+        """None before the first."""
+        entry = self._newest.get(process)
+        return entry[1] if entry else None
+
+    def heard(self, process: str) -> float:
+        """When (time.monotonic) the newest status came; -inf before the first."""
+        entry = self._newest.get(process)
+        return entry[0] if entry else -math.inf

@@ -1,0 +1,299 @@
+"""The env host: plays the environment with all agents in lock-step, and logs every step.
+
+It is the centre of the bus's star. Its log is written ahead of what it publishes, so that it can
+be killed at any moment: started again, it goes on where the log ends.
+"""
+
+import json
+import logging
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from otc_dist.bus.handshake import offer
+from otc_dist.bus.keys import HOST
+from otc_dist.bus.lockstep import HostLockstep
+from otc_dist.bus.messages import Action, Moment, Observation, Phase, Status, StepOutcome
+from otc_dist.bus.replies import encode_history, history_rows
+from otc_dist.bus.session import Session, remove_local_endpoint
+from otc_dist.bus.status import Heartbeat
+from otc_dist.bus.wire import Rejections
+from otc_dist.deployment_log.format import partial_path
+from otc_dist.deployment_log.header import LogHeader
+from otc_dist.deployment_log.reader import read_transitions
+from otc_dist.deployment_log.writer import LogWriter
+from otc_dist.envs import registry
+from otc_dist.envs.rollout import Rollout
+from otc_dist.errors import UserError
+from otc_dist.transitions import Float32, JointStep
+
+from .host_state import HostState, write_atomically
+from .process import FailureError, Run, parser, serve
+from .resimulation import resimulate
+
+log = logging.getLogger(__name__)
+
+_FAREWELL = 5.0  # seconds that learners may take to leave once all is done
+
+
+class EnvHost:
+    """One run's env host: evaluation 0, then deployment k and evaluation k for k = 1..K."""
+
+    def __init__(self, run: Run, session: Session) -> None:
+        self._run, self._session = run, session
+        self._description, self._folder = run.description, run.folder
+        self._rejections = Rejections()
+        self._state = HostState.begin(self._folder)
+        self._lockstep = HostLockstep(
+            session,
+            run.keys,
+            run.team.agents,
+            run.copies,
+            run.description.bus.answer_deadline,
+            self._rejections,
+        )
+        self._phase, self._deployment, self._step, self._total = "starting", 0, 0, 0
+        self._metrics: dict[str, float] = {}
+        self.heartbeat = Heartbeat(session, run.keys, HOST, self._rejections, self._status)
+        self._present: set[str] = set()
+        self._changed = threading.Condition()
+        for agent in run.team.names:
+            session.answer(run.keys.history(agent), self._history_of(agent))
+            session.watch_alive(run.keys.alive(agent), self._presence_of(agent))
+        offer(session, run.keys, run.spec)
+        session.declare_alive(run.keys.alive(HOST))
+
+    def serve(self) -> None:
+        """Go through all phases that are not finished yet."""
+        with self.heartbeat:
+            self._evaluate(0)
+            for k in range(1, self._description.deployment.count + 1):
+                self._deploy(k)
+                self._evaluate(k)
+            count = self._description.deployment.count
+            moment = Moment("done", count, self._state.epoch, 0)
+            nothing = [Observation(moment, None, None)] * len(self._run.team.agents)
+            self._lockstep.ask(nothing, acting=False)
+            self._enter("done", count, 0)
+            with self._changed:
+                self._changed.wait_for(lambda: not self._present, timeout=_FAREWELL)
+
+    def _evaluate(self, k: int) -> None:
+        """Play each copy's first episode with pi_k, greedily, and write the returns."""
+        path, episodes = self._folder.evaluation(k), self._description.evaluation.episodes
+        if episodes == 0 or path.exists():
+            return
+        self._enter("evaluation", k, self._run.team.max_episode_steps)
+        env_id = self._run.team.env_id
+        env = registry.make(env_id, episodes)
+        rollout = Rollout(env, self._description.seed, "evaluation", k)
+        policies: dict[str, str] = {}
+        seeds: list[int] = []
+        while not rollout.finished:
+            answers = self._ask("evaluation", k, rollout.step, rollout.observations, None)
+            self._check_policies(policies, answers, f"evaluation {k}")
+            step = rollout.advance(_actions(answers), self._greedy)
+            seeds = seeds or step.episode_seeds.tolist()
+            self._step = rollout.step
+        env.close()
+        mean = sum(rollout.episode_returns) / episodes
+        scores = [registry.normalised_score(env_id, r) for r in rollout.episode_returns]
+        result = {
+            "deployment": k,
+            "env": env_id,
+            "policies": policies,
+            "seeds": seeds,
+            "returns": list(rollout.episode_returns),
+            "lengths": list(rollout.episode_lengths),
+            "mean_return": mean,
+            "normalised_scores": [] if None in scores else scores,
+        }
+        with _recording(path, "the evaluation is played again"):
+            write_atomically(path, json.dumps(result, indent=1) + "\n")
+        self._metrics = {"return": mean}
+        self.heartbeat.publish()
+        log.info("evaluation of policy %d: mean return %.2f", k, mean)
+
+    def _deploy(self, k: int) -> None:
+        """Deployment k: M transitions by pi_{k-1}, every step in the log before the next."""
+        path = self._folder.deployment(k)
+        if path.exists():
+            return
+        self._enter("deployment", k, self._run.steps)
+        env = registry.make(self._run.team.env_id, self._description.env.copies)
+        rollout = Rollout(env, self._description.seed, "deployment", k)
+        with _recording(path, "the steps recorded so far are kept"):
+            writer, last = self._open_log(path, k, rollout)
+            try:
+                while rollout.step < self._run.steps:
+                    self._step = rollout.step
+                    answers = self._ask("deployment", k, rollout.step, rollout.observations, last)
+                    self._check_deployed(k, answers)
+                    last = rollout.advance(_actions(answers), self._greedy)
+                    writer.write(last)
+                self._step = rollout.step
+                self._ask("deployment", k, rollout.step, rollout.observations, last)
+                writer.finish(self._state.policies)
+            finally:
+                writer.close()
+        env.close()
+        self.heartbeat.publish()
+        log.info("deployment %d: %d steps in %s", k, self._run.steps, path.name)
+
+    def _open_log(self, path: Path, k: int, rollout: Rollout) -> tuple[LogWriter, JointStep | None]:
+        """The log to write, and its last step; `rollout` has caught up with it."""
+        if partial_path(path).exists():
+            writer, steps = LogWriter.resume(path)
+            log.info("deployment %d goes on after %d logged steps", k, steps)
+            try:
+                return writer, resimulate(rollout, path, steps)
+            except BaseException:
+                writer.close()
+                raise
+        description = self._description
+        header = LogHeader(
+            run=self._run.keys.run,
+            deployment=k,
+            seed=description.seed,
+            description=description.to_toml(),
+            description_digest=description.digest(),
+            team=self._run.team,
+            copies=description.env.copies,
+        )
+        return LogWriter.create(path, header), None
+
+    def _ask(
+        self,
+        phase: Phase,
+        k: int,
+        step: int,
+        observations: Sequence[Float32],
+        last: JointStep | None,
+    ) -> list[Action]:
+        """Ask all agents; in a deployment's last question nobody acts any more."""
+        moment = Moment(phase, k, self._state.epoch, step)
+        questions = [
+            Observation(moment, seen, _outcome(last, index) if last else None)
+            for index, seen in enumerate(observations)
+        ]
+        acting = phase == "evaluation" or step < self._run.steps
+        return self._lockstep.ask(questions, acting=acting)
+
+    @property
+    def _greedy(self) -> tuple[bool, ...]:
+        """Behaviour tags: no agent explores."""
+        return (False,) * len(self._run.team.agents)
+
+    def _check_deployed(self, k: int, answers: Sequence[Action]) -> None:
+        """Note, before the first step is logged, which policies act; they must stay the same."""
+        if self._state.deployment != k:
+            policies = dict(zip(self._run.team.names, (a.policy for a in answers), strict=True))
+            self._state = self._state.deploying(k, policies, self._folder)
+        self._check_policies(dict(self._state.policies), answers, f"deployment {k}")
+
+    def _check_policies(
+        self, policies: dict[str, str], answers: Sequence[Action], where: str
+    ) -> None:
+        for agent, answer in zip(self._run.team.names, answers, strict=True):
+            if policies.setdefault(agent, answer.policy) != answer.policy:
+                raise FailureError(
+                    f"{agent} acts by another policy ({answer.policy}) than it began {where}"
+                    f" with ({policies[agent]}): its training did not repeat itself to the bit"
+                )
+
+    def _enter(self, phase: str, k: int, total: int) -> None:
+        self._phase, self._deployment, self._step, self._total = phase, k, 0, total
+        self._metrics = {}
+        self.heartbeat.publish()
+
+    def _status(self) -> Status:
+        metrics = {"epoch": float(self._state.epoch), **self._metrics}
+        return Status(HOST, self._phase, self._deployment, self._step, self._total, 0.0, metrics)
+
+    def _presence_of(self, agent: str) -> Callable[[bool], None]:
+        def note(alive: bool) -> None:
+            with self._changed:
+                (self._present.add if alive else self._present.discard)(agent)
+                self._changed.notify_all()
+
+        return note
+
+    def _history_of(self, agent: str) -> Callable[[Mapping[str, str]], bytes]:
+        """Answers queries for the agent's own transitions, read from the log."""
+        spec = self._run.team.agents[self._run.team.index(agent)]
+        rows = history_rows(spec, self._description.bus.maximum_payload)
+        page = max(1, rows // self._description.env.copies)  # steps
+
+        def reply(parameters: Mapping[str, str]) -> bytes:
+            try:
+                k, start, stop = (int(parameters[key]) for key in ("deployment", "start", "stop"))
+                if not 0 <= start < stop:
+                    raise ValueError
+                stop = min(stop, start + page)
+                found = read_transitions(self._folder.deployment(k), agent, start, stop)
+            except (KeyError, ValueError):
+                raise LookupError("a history query needs deployment, start < stop") from None
+            except UserError as error:
+                raise LookupError(str(error)) from None
+            return encode_history(self._run.keys.run, agent, k, start, found)
+
+        return reply
+
+
+def _actions(answers: Sequence[Action]) -> list[Float32]:
+    return [answer.actions for answer in answers if answer.actions is not None]
+
+
+def _outcome(step: JointStep, index: int) -> StepOutcome:
+    return StepOutcome(
+        step.rewards[index], step.next_observations[index], step.terminated, step.truncated
+    )
+
+
+@contextmanager
+def _recording(path: Path, kept: str) -> Iterator[None]:
+    """Turn a full disk, or one that fails, into one line; `kept` says what is not lost."""
+    try:
+        yield
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise FailureError(
+            f"cannot write {path}: {reason}; {kept}: mend it and resume the run"
+        ) from None
+
+
+def main() -> None:
+    """Entry point of `python -m otc_dist.services.env_host`."""
+    command = parser(
+        "env_host",
+        "Plays a run's environment with all its learners in lock-step and logs every step.",
+        "The launcher starts one of these beside one learner per agent. By hand:\n"
+        "  python -m otc_dist.services.env_host --run runs/my_run\n"
+        "  python -m otc_dist.services.learner --run runs/my_run --agent agent_0   (and so on)\n"
+        "Killed or stopped, it goes on where its log ends when it is started again.\n"
+        "Exit status: 0 done, 1 failed, 2 a mistake to mend, 128 + n stopped by signal n.",
+    )
+    command.add_argument(
+        "--listen",
+        metavar="ENDPOINT",
+        help="Zenoh endpoint, like tcp/127.0.0.1:7447 (default: a private socket of this run)",
+    )
+    arguments = command.parse_args()
+
+    def body() -> None:
+        run = Run.open(arguments.run)
+        endpoint = arguments.listen or run.endpoint
+        session = Session.listen(endpoint, run.description.bus.maximum_payload)
+        try:
+            EnvHost(run, session).serve()
+        finally:
+            session.close()
+            remove_local_endpoint(endpoint)
+
+    serve(body)
+
+
+if __name__ == "__main__":
+    main()

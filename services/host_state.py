@@ -1,0 +1,74 @@
+"""The little that the env host must remember besides the log, to go on after a crash."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Self
+
+from otc_dist.errors import UserError
+from otc_dist.run_folder import RunFolder
+
+
+@dataclass(frozen=True)
+class HostState:
+    """Kept in `deployments/host.json`.
+
+    epoch: how often an env host of this run has been started, from 1; it goes with every message,
+        so that nothing of an earlier host is taken for the present one's.
+    deployment, policies: agent -> digest of the policy that acts in deployment k.
+    """
+
+    epoch: int = 0
+    deployment: int = 0
+    policies: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def begin(cls, folder: RunFolder) -> Self:
+        """The state of a host that starts now: one epoch further.
+
+        Raises:
+            UserError: the file is damaged, or cannot be written.
+        """
+        path = _path(folder)
+        try:
+            before = cls(**json.loads(path.read_text(encoding="utf-8")))
+        except FileNotFoundError:
+            before = cls()
+        except (OSError, ValueError, TypeError) as error:
+            raise UserError(f"{path} is damaged ({error}); it must hold the last epoch") from None
+        state = replace(before, epoch=before.epoch + 1)
+        try:
+            state._write(folder)
+        except OSError as error:
+            raise UserError(f"cannot write {path}: {error.strerror}") from None
+        return state
+
+    def deploying(self, k: int, policies: Mapping[str, str], folder: RunFolder) -> Self:
+        """The state in deployment k, written. Raises OSError."""
+        state = replace(self, deployment=k, policies=policies)
+        state._write(folder)
+        return state
+
+    def _write(self, folder: RunFolder) -> None:
+        write_atomically(_path(folder), json.dumps(asdict(self)) + "\n")
+
+
+def _path(folder: RunFolder) -> Path:
+    return folder.root / "deployments" / "host.json"
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a file so that it is either there, whole and durable, or not there. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".new")
+    try:
+        with temporary.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+    temporary.replace(path)

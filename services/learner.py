@@ -1,0 +1,239 @@
+"""A learner: one agent's brain on the bus. It reads its own agent's files and keys, no others.
+
+It trains offline, then answers the env host's questions. What it must know to answer, it knows
+or catches up on: an answer by pi_k needs D_1 .. D_k, which it gathers from the answers' outcomes
+or, after a restart, asks of the env host's log.
+"""
+
+import logging
+from typing import TYPE_CHECKING
+
+from otc_dist.bus.handshake import agree
+from otc_dist.bus.history import History
+from otc_dist.bus.lockstep import GaveUpError, LearnerLockstep
+from otc_dist.bus.messages import Action, Observation, Status
+from otc_dist.bus.session import Session
+from otc_dist.bus.status import Heartbeat
+from otc_dist.bus.wire import Rejections
+from otc_dist.errors import UserError, unknown
+from otc_dist.spec import AgentSpec
+from otc_dist.transitions import Transitions
+
+from .gathering import Gathering
+from .metrics import MetricsFile
+from .process import Run, parser, serve
+
+if TYPE_CHECKING:
+    from otc_dist.learner import Progress
+
+log = logging.getLogger(__name__)
+
+_LOOK = 0.5  # seconds between two looks at whether the env host still lives
+_FAREWELL = 10.0  # seconds to wait for the env host's end after the last answer
+
+
+class LearnerService:
+    """One agent's learner: pi_0, then whatever the env host asks, until it says done."""
+
+    def __init__(self, run: Run, agent: AgentSpec, session: Session) -> None:
+        self._run, self._agent, self._name = run, agent, agent.name
+        self._folder = run.folder
+        rejections = Rejections()
+        self._state = Status(agent.name)
+        self.heartbeat = Heartbeat(session, run.keys, agent.name, rejections, lambda: self._state)
+        self._lockstep = LearnerLockstep(session, run.keys, agent, run.copies, rejections)
+        deadline = run.description.bus.answer_deadline
+        self._history = History(
+            session, run.keys, agent, run.description.env.copies, deadline, rejections
+        )
+        self._gathering = Gathering(run.description.env.copies, self._history.fetch)
+        self._metrics = MetricsFile(self._folder.metrics(agent.name))
+        self._adapted: dict[str, float] = {}  # alpha and similarity of the newest deployment
+        self._buffer_complete = True  # whether the learner's buffer holds D_1 .. D_tuned
+        self._answered: Action | None = None
+        session.declare_alive(run.keys.alive(agent.name))
+
+    def serve(self, data: Transitions) -> None:
+        """Train offline on `data`, B_0, then answer until the run is done."""
+        self._data = data
+        self._load(self._run.description.deployment.count)
+        if self._learner.tuned < 0:
+            self._pretrain()
+        self._ready()
+        done = False
+        while not done:
+            question = self._lockstep.question(_LOOK)
+            if question is not None:
+                done = self._respond(question)
+            else:
+                self._check_host()
+        self._leave()
+
+    def _load(self, newest: int) -> None:
+        """A learner with the newest sound checkpoint up to pi_newest; a fresh one if none is."""
+        from otc_dist.learner import Learner
+
+        self._learner = Learner(self._run.description, self._agent, self._data)
+        paths = [self._folder.checkpoint(self._name, k) for k in range(newest, -1, -1)]
+        for path in [*paths, self._folder.offline_checkpoint(self._name)]:
+            if not path.exists():
+                continue
+            try:
+                self._learner.load(path)
+                log.info("loaded %s", path.name)
+                break
+            except UserError as error:
+                log.warning("%s; trying an older one", error)
+                self._learner = Learner(self._run.description, self._agent, self._data)
+        self._buffer_complete = self._learner.tuned <= 0
+        self._digest = self._learner.policy_digest()
+
+    def _pretrain(self) -> None:
+        offline = self._folder.offline_checkpoint(self._name)
+        self._learner.pretrain(self._report, lambda: self._learner.save(offline))
+        self._trained()
+        offline.unlink(missing_ok=True)
+
+    def _respond(self, question: Observation) -> bool:
+        """Answer a question, training first if it asks for a later policy; whether all is done."""
+        moment = question.moment
+        if self._answered is not None and self._answered.moment == moment:
+            self._lockstep.answer(self._answered)  # it was lost, or came too late
+            return False
+        if moment.phase == "done" or question.observations is None:
+            self._reach(moment.policy)
+            self._answer(Action(moment, None, self._digest))
+            return True
+        if moment.phase == "deployment" and moment.step == self._run.steps:
+            # Everybody's last step is logged: say so at once, then train.
+            self._gathering.take(question)
+            self._answer(Action(moment, None, self._digest))
+            self._reach(moment.deployment)
+            return False
+        self._reach(moment.policy)
+        if moment.phase == "deployment":
+            self._gathering.take(question)
+        observations = question.observations
+        actions = self._learner.act(observations, moment.phase, moment.deployment, moment.step)
+        self._answer(Action(moment, actions, self._digest))
+        if moment.phase == "deployment":
+            self._gathering.acted(moment, observations, actions)
+        return False
+
+    def _answer(self, action: Action) -> None:
+        self._answered = action
+        self._lockstep.answer(action)
+
+    def _reach(self, policy: int) -> None:
+        """Hold pi_policy: tune on what is missing, or go back to an older checkpoint."""
+        if self._learner.tuned > policy:
+            # The env host has lost the end of its log (a power cut), and plays it again.
+            self._load(policy)
+        while self._learner.tuned < policy:
+            if self._learner.tuned < 0:
+                self._pretrain()
+            else:
+                self._tune(self._learner.tuned + 1)
+
+    def _tune(self, k: int) -> None:
+        """Line 5 to 16 of Algorithm 1: D_k joins the buffer, alpha adapts, L updates follow."""
+        steps = self._run.steps
+        if not self._buffer_complete:
+            self._learner.restore([self._history.fetch(j, 0, steps) for j in range(1, k)])
+            self._buffer_complete = True
+        self._learner.tune(k, self._gathering.all(k, steps), self._report)
+        self._trained()
+        self._ready()
+
+    def _trained(self) -> None:
+        self._digest = self._learner.policy_digest()
+        self._learner.save(self._folder.checkpoint(self._name, self._learner.tuned))
+        self.heartbeat.publish()
+
+    def _ready(self) -> None:
+        tuned = max(self._learner.tuned, 0)
+        self._state = Status(self._name, "ready", tuned, metrics=self._adapted)
+        self.heartbeat.publish()
+
+    def _check_host(self) -> None:
+        silence, deadline = self._lockstep.host_silence(), self._run.description.bus.answer_deadline
+        if silence > deadline:
+            raise GaveUpError(f"nothing was heard of the env host for {deadline:g} s")
+
+    def _leave(self) -> None:
+        """Answer once more if asked, until the env host says that it has heard everybody."""
+        self._state = Status(self._name, "done", self._learner.tuned, metrics=self._adapted)
+        while self._lockstep.host_phase != "done" and self._lockstep.host_silence() < _FAREWELL:
+            question = self._lockstep.question(_LOOK / 5)
+            if question is not None:
+                self._respond(question)
+
+    def _report(self, progress: "Progress") -> None:
+        self._metrics.write(progress)
+        if progress.phase == "tuning" and "alpha" in progress.metrics:
+            self._adapted = {
+                name: progress.metrics[name]
+                for name in ("alpha", "similarity")
+                if name in progress.metrics
+            }
+        before = self._state
+        self._state = Status(
+            self._name,
+            progress.phase,
+            progress.deployment,
+            progress.update,
+            progress.updates,
+            metrics={**self._adapted, **progress.metrics},
+        )
+        if before.phase != progress.phase or progress.update == progress.updates:
+            self.heartbeat.publish()
+
+
+def main() -> None:
+    """Entry point of `python -m otc_dist.services.learner`."""
+    command = parser(
+        "learner",
+        "Trains one agent of a run and acts for it: offline on its own data set, then online.",
+        "The launcher starts one of these per agent beside the env host. By hand:\n"
+        "  python -m otc_dist.services.env_host --run runs/my_run\n"
+        "  python -m otc_dist.services.learner --run runs/my_run --agent agent_0\n"
+        "Killed or stopped, it goes on from its newest checkpoint when it is started again.\n"
+        "Exit status: 0 done, 1 failed, 2 a mistake to mend, 128 + n stopped by signal n.",
+    )
+    command.add_argument("--agent", required=True, metavar="NAME", help="whose learner, as agent_0")
+    command.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        help="the env host's Zenoh endpoint (default: the private socket of this run)",
+    )
+    arguments = command.parse_args()
+
+    def body() -> None:
+        run = Run.open(arguments.run)
+        if arguments.agent not in run.team.names:
+            raise unknown("agent", arguments.agent, run.team.names)
+        agent = run.team.agents[run.team.index(arguments.agent)]
+        bus = run.description.bus
+        endpoint = arguments.connect or run.endpoint
+        with Session.connect(endpoint, bus.maximum_payload) as session:
+            agree(session, run.keys, run.spec, bus.answer_deadline)
+            service = LearnerService(run, agent, session)
+            with service.heartbeat:
+                service.serve(_own_data(run, agent))
+
+    serve(body)
+
+
+def _own_data(run: Run, agent: AgentSpec) -> Transitions:
+    """B_0 of this agent, the only data file that this process opens."""
+    # Imported here: with torch it takes seconds, in which the heartbeat beats already.
+    from otc_dist.datasets import store
+
+    dataset = run.description.dataset
+    return store.load_agent(
+        store.agent_file(dataset.name, agent.name, dataset.transitions), agent.name
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""What both services share: the command line, the run they belong to, and how they end."""
+
+import argparse
+import json
+import logging
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Self
+
+from otc_dist.bus.keys import Keys
+from otc_dist.bus.lockstep import GaveUpError
+from otc_dist.bus.replies import RunSpec
+from otc_dist.bus.session import local_endpoint
+from otc_dist.description import Description
+from otc_dist.envs.registry import team_spec
+from otc_dist.errors import UserError
+from otc_dist.run_folder import RunFolder
+from otc_dist.spec import TeamSpec
+
+
+class FailureError(Exception):
+    """The service cannot go on, and it is not the user's mistake. The message is one line."""
+
+
+class _StoppedError(BaseException):
+    """A signal asked the service to end."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run that has been resolved: its folder, description, team and keys."""
+
+    folder: RunFolder
+    description: Description
+    team: TeamSpec
+    keys: Keys
+
+    @classmethod
+    def open(cls, root: Path) -> Self:
+        """Read a run folder.
+
+        Raises:
+            UserError: it is no run folder, or its description is not resolved.
+        """
+        folder = RunFolder(root.resolve())
+        description = Description.load(folder.description)
+        try:
+            run = json.loads(folder.run_json.read_text(encoding="utf-8"))["run"]
+        except (OSError, ValueError, KeyError, TypeError):
+            raise UserError(f"{folder.run_json} does not name the run; is {root} one?") from None
+        size, copies = description.deployment.transitions, description.env.copies
+        if size < 1 or size % copies:
+            raise UserError(
+                f"{folder.description} is not resolved: deployment.transitions is {size},"
+                f" no multiple of env.copies ({copies})"
+            )
+        return cls(folder, description, team_spec(description.env.id), Keys(str(run)))
+
+    @property
+    def steps(self) -> int:
+        """Lock-steps of a deployment: M / E."""
+        return self.description.deployment.transitions // self.description.env.copies
+
+    @property
+    def copies(self) -> dict[str, int]:
+        """E, by phase."""
+        return {
+            "deployment": self.description.env.copies,
+            "evaluation": self.description.evaluation.episodes,
+            "done": 0,
+        }
+
+    @property
+    def spec(self) -> RunSpec:
+        """What env host and learners must agree on."""
+        return RunSpec(self.team.env_id, self.team.agents, self.description.digest())
+
+    @property
+    def endpoint(self) -> str:
+        """Where the bus is on one machine."""
+        return local_endpoint(self.folder.root)
+
+
+def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParser:
+    """A command line with what both services take."""
+    made = argparse.ArgumentParser(
+        prog=f"python -m otc_dist.services.{module}",
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument(
+        "--run", type=Path, required=True, metavar="DIR", help="the run folder (the launcher's)"
+    )
+    return made
+
+
+def serve(body: Callable[[], None]) -> None:
+    """Run a service to its end and exit: 0 done, 2 the user's mistake, 1 a failure, 128 + signal.
+
+    SIGTERM and SIGINT end it in order: what is open is closed, what was recorded stays.
+    """
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _stop)
+    try:
+        body()
+        status = 0
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        status = 2
+    except (FailureError, GaveUpError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        status = 1
+    except _StoppedError as stopped:
+        print(f"stopped by {signal.Signals(stopped.number).name}", file=sys.stderr)
+        status = 128 + stopped.number
+    sys.exit(status)
+
+
+def _stop(number: int, _: FrameType | None) -> None:
+    for other in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(other, signal.SIG_IGN)  # closing is under way; it takes seconds at most
+    raise _StoppedError(number)
