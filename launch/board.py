@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from otc_dist.bus.keys import HOST
-from otc_dist.bus.status import Status
+from otc_dist.bus.messages import Status
 
 from .forecast import Remaining
 
@@ -35,7 +35,9 @@ class Board:
         if "return" in appeared:
             self.events.append(f"{status.process}: return {appeared['return']:.1f}")
         slowest = self._slowest()
-        if slowest is not None:
+        if slowest is None or slowest.phase == "done":
+            self.seconds_left = None
+        else:
             share = slowest.update / slowest.total if slowest.total else 0.0
             self.seconds_left = self.remaining.seconds(
                 slowest.phase, slowest.deployment, share, clock
@@ -48,17 +50,27 @@ class Board:
 
     def _slowest(self) -> Status | None:
         """Who the others wait for: the agent that has trained least, or the host."""
+        known = [self.newest[name] for name in self.agents if name in self.newest]
+        if len(known) < len(self.agents) or any(status.phase == "starting" for status in known):
+            return None
+        training = [status for status in known if status.phase in TRAINING]
+        if not training:
+            return self.newest.get(HOST)
+        return min(
+            training,
+            key=lambda s: (s.deployment, TRAINING.index(s.phase), s.update / max(s.total, 1)),
+        )
+
+    @property
+    def busy(self) -> list[Status]:
+        """The statuses worth a line: of the agents that train, or else of the host."""
         training = [
             self.newest[name]
             for name in self.agents
             if name in self.newest and self.newest[name].phase in TRAINING
         ]
-        if training:
-            return min(
-                training,
-                key=lambda s: (s.deployment, TRAINING.index(s.phase), s.update / max(s.total, 1)),
-            )
-        return self.newest.get(HOST)
+        host = self.newest.get(HOST)
+        return training or ([host] if host else [])
 
 
 TRAINING = ("offline", "embedding", "tuning")
@@ -68,8 +80,10 @@ def place(status: Status) -> str:
     """Where a process is: `tuning after deployment 2`, `offline`."""
     if status.phase == "tuning":
         return f"tuning after deployment {status.deployment}"
-    if status.phase == "evaluation":
-        return f"evaluation of policy {status.deployment}"
+    if status.phase in ("evaluation", "ready"):
+        return f"{status.phase}, policy {status.deployment}"
+    if status.phase == "done":
+        return "done"
     return f"{status.phase} {status.deployment}" if status.deployment else status.phase
 
 

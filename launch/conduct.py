@@ -2,15 +2,18 @@
 
 import queue
 import shlex
+import shutil
 import sys
 import time
 from collections.abc import Mapping
 
 from otc_dist.bus.keys import HOST
-from otc_dist.bus.status import Status
+from otc_dist.bus.messages import Status
+from otc_dist.datasets.card import FILE_NAME as CARD
 
 from . import descriptions
 from .board import Board
+from .closing import closing_lines
 from .forecast import Remaining
 from .observer import observing
 from .plan import Plan
@@ -42,7 +45,7 @@ def conduct(plan: Plan, record: RunRecord) -> int:
     128 + n: stopped by signal n. In every case no process is left, and unless it finished,
     the way to go on is printed.
     """
-    resume = f"resume with: python -m otc_dist.launch --resume {shlex.quote(str(plan.folder.root))}"
+    go_on = f"resume with: python -m otc_dist.launch --resume {shlex.quote(str(plan.folder.root))}"
     title = plan.description.name
     if record.quick:
         title += f" ({descriptions.QUICK_LABEL})"
@@ -51,20 +54,21 @@ def conduct(plan: Plan, record: RunRecord) -> int:
         try:
             with Supervisor(signals) as supervisor:
                 _complete(plan, plan.preparations, supervisor, signals)
+                shutil.copyfile(plan.data_folder / CARD, plan.folder.dataset_card)
                 with open_view(title) as view:
                     _run(plan, record, supervisor, signals, view)
+                record.moved_to("finished", plan.folder)
                 _complete(plan, plan.conclusions, supervisor, signals)
-            record.moved_to("finished", plan.folder)
             print("\n".join(closing_lines(plan.folder)))
         except _StoppedError:
             assert signals.stop is not None
             record.moved_to("stopped", plan.folder)
-            print(f"stopped by {signals.stop.name}; {resume}")
+            print(f"stopped by {signals.stop.name}; {go_on}")
             return 128 + signals.stop
         except _DiedError as died:
             record.moved_to("failed", plan.folder)
             _explain(died.end)
-            print(resume)
+            print(go_on)
             return 2 if died.end.status == 2 else 1
     return 0
 
@@ -114,7 +118,7 @@ def _run(
 
 def _explain(end: End) -> None:
     lines = end.last_lines()
-    if end.status == 2 and lines and lines[-1].startswith("error: "):
+    if lines and lines[-1].startswith("error: "):  # it could say itself what was wrong
         print(f"error: {end.process}: {lines[-1].removeprefix('error: ')}", file=sys.stderr)
         return
     print(f"error: {end.process} {end.manner}; all others were stopped", file=sys.stderr)

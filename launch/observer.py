@@ -5,8 +5,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from otc_dist.bus.keys import Keys
+from otc_dist.bus.messages import Status
 from otc_dist.bus.session import Session, local_endpoint
-from otc_dist.bus.status import Status, StatusBoard
+from otc_dist.bus.status import StatusBoard
 from otc_dist.bus.wire import Rejections
 from otc_dist.errors import UserError
 

@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.datasets import store
@@ -44,6 +45,12 @@ class Plan:
     @property
     def parts(self) -> list[forecast.Part]:
         return forecast.parts(self.description, len(self.spec.agents))
+
+    @property
+    def data_folder(self) -> Path:
+        """Where B_0 and its card lie."""
+        dataset = self.description.dataset
+        return store.agent_file(dataset.name, self.spec.names[0], dataset.transitions).parent
 
     @property
     def preparations(self) -> dict[str, tuple[str, ...]]:

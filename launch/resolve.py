@@ -4,8 +4,9 @@ import math
 import subprocess
 import sys
 
-from otc_dist.datasets import store
+from otc_dist.datasets.names import DatasetName
 from otc_dist.description import Description
+from otc_dist.envs import registry
 from otc_dist.errors import UserError
 
 # In a process of its own: importing torch takes seconds and memory that the launcher never needs.
@@ -23,9 +24,16 @@ def resolve(description: Description) -> Description:
     M is rounded up to a multiple of env.copies, since every copy contributes equally.
 
     Raises:
-        UserError: an unknown data set, or an engine that this machine cannot run.
+        UserError: an unknown environment or data set, a data set of another environment, or an
+            engine that this machine cannot run.
     """
-    transitions = description.dataset.transitions or store.usual_size(description.dataset.name)
+    registry.team_spec(description.env.id)
+    dataset = DatasetName.parse(description.dataset.name)
+    if dataset.env_id != description.env.id:
+        raise UserError(
+            f"the data set {dataset} is not of the environment {description.env.id}: change one"
+        )
+    transitions = description.dataset.transitions or dataset.usual_size()
     copies = description.env.copies
     wanted = description.deployment.transitions or description.deployment.fraction * transitions
     deployed = math.ceil(max(wanted, 1) / copies) * copies

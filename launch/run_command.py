@@ -4,26 +4,15 @@ import argparse
 import errno
 from contextlib import ExitStack
 from pathlib import Path
-from typing import NoReturn
 
 from otc_dist.description import Description
-from otc_dist.errors import UserError, unknown
+from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
 from . import descriptions, plan, run_record
 from .conduct import conduct
+from .parser import Parser
 from .resolve import resolve
-
-
-class _Parser(argparse.ArgumentParser):
-    """Reports a mistake as one line, like everything else here."""
-
-    def error(self, message: str) -> NoReturn:
-        prefix, _, given = message.partition("unrecognized arguments: ")
-        if not prefix and given.startswith("-"):
-            flags = [flag for flag in self._option_string_actions if flag.startswith("--")]
-            raise unknown("flag", given.split()[0].partition("=")[0], flags)
-        raise UserError(f"{message} (see --help)")
 
 
 def main(argv: list[str]) -> int:
@@ -95,7 +84,7 @@ def _resume(arguments: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="python -m otc_dist.launch",
         description="Run a launch description: data, offline training, deployments, report.",
         allow_abbrev=False,

@@ -35,6 +35,7 @@ class RunRecord:
     versions: dict[str, str]
     started: str  # UTC, ISO 8601
     state: State = "running"
+    finished: str | None = None  # UTC, ISO 8601
     quick: bool = False
     resumed: tuple[str, ...] = ()  # when --resume went on with it
 
@@ -46,7 +47,7 @@ class RunRecord:
 
     def moved_to(self, state: State, folder: RunFolder) -> Self:
         """The record with another state, written."""
-        record = replace(self, state=state)
+        record = replace(self, state=state, finished=_now() if state == "finished" else None)
         record.write(folder)
         return record
 
@@ -105,7 +106,7 @@ def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
     """
     record = RunRecord.read(folder)
     if record.state == "finished":
-        raise UserError(f"{folder.root} is finished; its report is {folder.report}")
+        raise UserError(f"{folder.root} is finished; see {folder.report}")
     description = Description.load(folder.description)
     if description.digest() != record.description:
         raise UserError(

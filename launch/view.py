@@ -47,7 +47,7 @@ class LineView:
         for event in board.drain_events():
             self.say(event)
         now = time.monotonic()
-        if board.newest and now - self._last >= LINE_EVERY:
+        if board.busy and now - self._last >= LINE_EVERY:
             self._last = now
             self.say(_progress_line(board))
 
@@ -102,9 +102,9 @@ class TableView:
 
 def _progress_line(board: Board) -> str:
     told = [
-        f"{process} {place(status)} {status.update:,}/{status.total:,} ({status.rate:,.0f}/s)"
-        for process, status in board.newest.items()
-        if status.total
+        f"{status.process} {place(status)} {status.update:,}/{status.total:,}"
+        + (f" ({status.rate:,.0f}/s)" if status.rate else "")
+        for status in board.busy
     ]
     left = "" if board.seconds_left is None else f" · {forecast.duration(board.seconds_left)} to go"
     return " · ".join(told) + left

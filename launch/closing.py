@@ -1,0 +1,32 @@
+"""The last lines of a finished run: what tuning brought, and where the report is."""
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from otc_dist.run_folder import RunFolder
+
+
+def closing_lines(folder: RunFolder) -> Iterator[str]:
+    """From results.json, which the report has just written."""
+    results = json.loads(folder.results.read_text(encoding="utf-8"))
+    label = f" ({results['label']})" if results["label"] else ""
+    yield f"{results['name']}{label}: finished"
+    table: list[Mapping[str, Any]] = results["table"]
+    if table:
+        offline, last = table[0], table[-1]
+        yield f"return, mean of {offline['returns']['count']} greedy episodes: " + _change(
+            offline["returns"], last["returns"], last["deployment"]
+        )
+        if offline["score"] and last["score"]:
+            yield "normalised score: " + _change(
+                offline["score"], last["score"], last["deployment"]
+            )
+    yield f"report: {folder.report}"
+
+
+def _change(offline: Mapping[str, float], last: Mapping[str, float], deployments: int) -> str:
+    before, after = f"{offline['mean']:.1f}", f"{last['mean']:.1f}"
+    if deployments == 0:
+        return f"offline {before}"
+    return f"offline {before}, after deployment {deployments} {after}"
