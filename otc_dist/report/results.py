@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from otc_dist.report.run_data import Evaluation, RunData
 from otc_dist.report.statistics import Spread, improvement
@@ -17,10 +17,10 @@ class Row:
 
     deployment: int
     returns: Spread
-    score: Spread | None  # normalised
+    score: float | None  # normalised, of the mean return
     length: float | None  # mean, steps
-    improvement: float | None  # percent of the offline return
-    gain: float | None  # difference in normalised score to the offline one
+    improvement: float | None = None  # percent of the offline return
+    gain: float | None = None  # difference in normalised score to the offline one
 
 
 def rows(run: RunData) -> list[Row]:
@@ -40,22 +40,18 @@ def _row(evaluation: Evaluation) -> Row | None:
     if returns is None:
         return None
     length = Spread.of([float(value) for value in evaluation.lengths])
-    score = Spread.of(evaluation.normalised_scores)
-    return Row(evaluation.deployment, returns, score, length.mean if length else None, None, None)
+    score = evaluation.normalised_score
+    return Row(evaluation.deployment, returns, score, length.mean if length else None)
 
 
 def compare(row: Row, offline: Row | None) -> Row:
     """The row with its improvement over the offline one; the offline row itself has none."""
     if offline is None or row.deployment == 0:
         return row
-    gain = row.score.mean - offline.score.mean if row.score and offline.score else None
-    return Row(
-        row.deployment,
-        row.returns,
-        row.score,
-        row.length,
-        improvement(row.returns.mean, offline.returns.mean),
-        gain,
+    return replace(
+        row,
+        improvement=improvement(row.returns.mean, offline.returns.mean),
+        gain=_difference(row.score, offline.score),
     )
 
 
@@ -77,17 +73,19 @@ def tuned(run: RunData) -> Tuned | None:
         return None
     offline = offline_row(run)
     mean_return = sum(row.returns.mean for row in after) / len(after)
-    scores = [row.score.mean for row in after if row.score]
+    scores = [row.score for row in after if row.score is not None]
     mean_score = sum(scores) / len(scores) if len(scores) == len(after) else None
     return Tuned(
         after[-1],
         mean_return,
         mean_score,
         improvement(mean_return, offline.returns.mean) if offline else None,
-        mean_score - offline.score.mean
-        if mean_score is not None and offline and offline.score
-        else None,
+        _difference(mean_score, offline.score) if offline else None,
     )
+
+
+def _difference(score: float | None, offline: float | None) -> float | None:
+    return None if score is None or offline is None else score - offline
 
 
 def results(run: RunData) -> dict[str, object]:

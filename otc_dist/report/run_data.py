@@ -23,7 +23,8 @@ class Evaluation:
     returns: list[float]
     lengths: list[int]
     seeds: list[int]
-    normalised_scores: list[float]  # empty where the task has no reference returns
+    normalised_score: float | None  # of the mean; None where the task has no reference returns
+    policies: dict[str, str]  # agent -> digest of the policy that acted
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,7 @@ def _attempt(path: Path, read: Callable[[Path], T], problems: list[str]) -> T | 
         return read(path)
     except FileNotFoundError:
         problems.append(f"{path.name} is missing")
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         problems.append(f"{path.name} cannot be read: {type(error).__name__}")
     return None
 
@@ -140,12 +141,14 @@ def _read_object(path: Path) -> dict[str, object]:
 
 def _read_evaluation(path: Path) -> Evaluation:
     data = json.loads(path.read_bytes())
+    score = data["normalised_score"]
     evaluation = Evaluation(
-        deployment=int(data["deployment"]),
+        deployment=int(data["evaluation"]),
         returns=[float(value) for value in data["returns"]],
-        lengths=[int(value) for value in data.get("lengths") or ()],
-        seeds=[int(value) for value in data.get("seeds") or ()],
-        normalised_scores=[float(value) for value in data.get("normalised_scores") or ()],
+        lengths=[int(value) for value in data["lengths"]],
+        seeds=[int(value) for value in data["seeds"]],
+        normalised_score=None if score is None else float(score),
+        policies={str(agent): str(digest) for agent, digest in data["policies"].items()},
     )
     if not evaluation.returns or not all(map(math.isfinite, evaluation.returns)):
         raise ValueError("no returns, or a return that is not finite")

@@ -112,8 +112,8 @@ def _learning_curve(run: RunData) -> str:
     episodes = run.description.evaluation.episodes
     return chart + html.note(
         f"Deployment 0 is the policy trained offline. {episodes} greedy episodes each, apart from"
-        " the transitions that the agents learn from. One run with one seed: differences between"
-        " runs are larger than the band, which is of episodes."
+        " the transitions that the agents learn from. The band is of episodes; one run with one"
+        " seed does not tell how much runs differ."
     )
 
 
@@ -150,7 +150,7 @@ def _returns_table(run: RunData) -> str:
             number(spread.std),
             f"{number(spread.minimum)} … {number(spread.maximum)}",
             number(row.length) if row.length is not None else NOTHING,
-            number(row.score.mean) if row.score else NOTHING,
+            number(row.score) if row.score is not None else NOTHING,
             _signed(row.gain),
             _signed(row.improvement, " %"),
         ]

@@ -1,5 +1,6 @@
 """Other people's MCAP readers understand a log from what the log says about itself."""
 
+import io
 import json
 import os
 import shutil
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from mcap.exceptions import EndOfFile
 from mcap.reader import NonSeekingReader, make_reader
+from mcap.stream_reader import CRCValidationError
 
 _NPM_PACKAGES = ("@mcap/core@2.2.2", "fzstd@0.1.1", "@msgpack/msgpack@3.1.2")
 
@@ -63,6 +65,20 @@ def test_the_mcap_library_reads_a_finished_log(tmp_path: Path, small) -> None:
     assert schema is not None and schema.encoding == "jsonschema"
     assert channel.message_encoding == "msgpack" and channel.metadata == header
     check_against_header([message for _, _, message in triples], header, small.steps)
+
+
+def test_the_crc_over_all_data_holds(tmp_path: Path, small) -> None:
+    path = small.finish(tmp_path / "log.mcap")
+    data = bytearray(path.read_bytes())
+
+    def read() -> int:
+        stream = io.BytesIO(bytes(data))
+        return sum(1 for _ in NonSeekingReader(stream, validate_crcs=True).iter_messages())
+
+    assert read() == 12
+    data[data.index(b"a run") + 2] = ord("-")  # outside of the chunks
+    with pytest.raises(CRCValidationError):
+        read()
 
 
 def test_the_mcap_library_reads_an_unfinished_log(tmp_path: Path, small) -> None:

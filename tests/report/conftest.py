@@ -68,11 +68,13 @@ class MadeRun:
         self.folder.evaluation(k).write_text(
             json.dumps(
                 {
-                    "deployment": k,
+                    "evaluation": k,
+                    "policies": {"agent_0": f"digest {k}"},
                     "returns": returns,
                     "lengths": [100, 200],
                     "seeds": [1, 2],
-                    "normalised_scores": [value / 10 for value in returns],
+                    "mean_return": sum(returns) / 2,
+                    "normalised_score": sum(returns) / 20,
                 }
             )
         )

@@ -63,6 +63,7 @@ def test_results_hold_the_raw_numbers_and_what_follows_from_them(made) -> None:
     assert [e["returns"] for e in results["evaluations"]] == [
         [-10, -30], [-10, -10], [0, 20], [10, 30],
     ]  # fmt: skip
+    assert results["evaluations"][2]["policies"] == {"agent_0": "digest 2"}
     last = results["table"][-1]
     # R_0 = -20, R_3 = 20: 100 (20 - -20) / |-20|.
     assert last["returns"] == {"mean": 20, "std": 10, "minimum": 10, "maximum": 30, "count": 2}
@@ -94,6 +95,15 @@ def test_the_page_is_whole_and_needs_nothing_else(made) -> None:
     ):  # fmt: skip
         assert text in page.text, text
     assert "not a result" not in page.text and "not complete" not in page.text
+
+
+def test_a_task_without_reference_returns_has_no_score(made) -> None:
+    for k in range(4):
+        data = json.loads(made.folder.evaluation(k).read_text())
+        made.folder.evaluation(k).write_text(json.dumps(data | {"normalised_score": None}))
+    results, page = report(made)
+    assert results["tuned"]["mean_score"] is None and results["tuned"]["gain"] is None
+    assert results["tuned"]["improvement"] is not None and "+200.0 %" in page.text
 
 
 def test_a_quick_run_is_labelled(made) -> None:
@@ -128,8 +138,19 @@ def test_a_run_that_has_only_begun(made) -> None:
 
 
 def test_damaged_files_are_named_and_the_rest_is_reported(made) -> None:
-    made.folder.evaluation(2).write_text('{"deployment": 2, "retur')
-    made.folder.evaluation(1).write_text('{"deployment": 1, "returns": [NaN]}')
+    made.folder.evaluation(2).write_text('{"evaluation": 2, "retur')
+    made.folder.evaluation(1).write_text(
+        json.dumps(
+            {
+                "evaluation": 1,
+                "returns": [float("nan")],
+                "lengths": [1],
+                "seeds": [1],
+                "policies": {},
+                "normalised_score": None,
+            }
+        )
+    )
     made.folder.metrics("agent_0").write_text("no json\nat all\n")
     results, page = report(made)
     assert [e["deployment"] for e in results["evaluations"]] == [0, 3]
