@@ -56,7 +56,8 @@ def write(path: Path, arrays: Mapping[str, NDArray[np.generic]], progressed: Pro
     Raises:
         UserError: the disk is full, or the folder cannot be written.
     """
-    about = {"format": FORMAT, "digest": digest(arrays), **asdict(progressed)}
+    about = {"format": FORMAT, **asdict(progressed)}
+    about["digest"] = _seal(arrays, about)
     content = save(dict(arrays), metadata={"otc_dist": json.dumps(about)})
     unfinished = path.with_name(path.name + ".partial")
     try:
@@ -79,14 +80,19 @@ def read(path: Path) -> tuple[Arrays, Progressed]:
     """
     try:
         with safe_open(path, framework="np") as file:
-            about = json.loads((file.metadata() or {})["otc_dist"])
+            about = dict(json.loads((file.metadata() or {})["otc_dist"]))
             arrays: Arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except FileNotFoundError:
         raise UserError(f"no checkpoint at {path}") from None
-    except (SafetensorError, OSError, KeyError, ValueError) as error:
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"the checkpoint {path} is damaged ({error}); delete it") from None
+    if about.pop("digest", None) != _seal(arrays, about):
+        raise UserError(f"the checkpoint {path} is damaged (wrong digest); delete it")
     if (version := about.pop("format")) != FORMAT:
         raise UserError(f"the checkpoint {path} has format {version}; this version reads {FORMAT}")
-    if about.pop("digest") != digest(arrays):
-        raise UserError(f"the checkpoint {path} is damaged (wrong digest); delete it")
     return arrays, Progressed(**about)
+
+
+def _seal(arrays: Mapping[str, NDArray[np.generic]], about: Mapping[str, object]) -> str:
+    """A digest of the tensors and of what is said about them: alpha matters as weights do."""
+    return hashlib.sha256((digest(arrays) + json.dumps(about, sort_keys=True)).encode()).hexdigest()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal, Self
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from otc_dist.errors import UserError, unknown
@@ -23,9 +23,9 @@ NormaliserName = Literal["relative", "shared", "paper"]
 
 
 class Section(BaseModel):
-    """A section of the description: unknown keys are refused, values never change."""
+    """A section of the description: unknown keys, infinities and NaN are refused; it is frozen."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class EnvSection(Section):
@@ -48,7 +48,9 @@ class AlgorithmSection(Section):
     """Base algorithm. Sizes and rates from Table 3 of the paper; the rest as in BCQ's code."""
 
     name: Literal["bcq"] = "bcq"
-    hidden: tuple[int, ...] = Field(default=(64, 64), description="hidden layers of every network")
+    hidden: tuple[PositiveInt, ...] = Field(
+        default=(64, 64), description="hidden layers of every network"
+    )
     actor_learning_rate: float = Field(default=1e-4, gt=0)
     critic_learning_rate: float = Field(default=1e-4, gt=0)
     vae_learning_rate: float = Field(
@@ -69,7 +71,7 @@ class EmbeddingSection(Section):
     """The conditional VAE of the embedding distance d_e, trained on B_0 only, then frozen."""
 
     size: int = Field(default=10, ge=1, description="latent dimension (Table 3)")
-    hidden: tuple[int, ...] = Field(default=(64, 64))
+    hidden: tuple[PositiveInt, ...] = Field(default=(64, 64))
     updates: int = Field(default=10_000, ge=1)
     batch_size: int = Field(default=256, ge=1)
     learning_rate: float = Field(default=1e-3, gt=0)
@@ -154,9 +156,7 @@ class Description(Section):
     name: str
     summary: str = ""
     seed: int = Field(default=0, ge=0, lt=2**31)
-    minibatch_key: int = Field(
-        default=0, ge=0, description="other minibatches while tuning"
-    )
+    minibatch_key: int = Field(default=0, ge=0, description="other minibatches while tuning")
     env: EnvSection
     dataset: DatasetSection
     algorithm: AlgorithmSection = AlgorithmSection()
@@ -219,7 +219,7 @@ class Description(Section):
 
     def offline_digest(self) -> str:
         """Identifies what the offline policy pi_0 depends on, as `digest` does the whole."""
-        parts = {"seed", "dataset", "algorithm", "embedding", "offline"}
+        parts = {"seed", "dataset", "algorithm", "embedding", "offline", "engine"}
         return _hash(self.model_dump_json(include=parts) + self.env.id)
 
 

@@ -23,6 +23,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 Update = Callable[[State, Draws], tuple[State, Tensor]]
 Resolved = Literal["compiled", "cuda-graph", "eager"]
+VARIANTS = 256  # of one function in a process: agents differ in sizes, arms in samplers
 COMPILE_WORTHWHILE = 10_000  # updates: compiling takes about a minute, an update saves 5 ms
 
 
@@ -55,8 +56,12 @@ class Engine:
     def __init__(self, name: Resolved) -> None:
         self.name = name
         self.device = torch.device("cuda" if name == "cuda-graph" else "cpu")
+        # Sums split over threads round otherwise, and a brain's networks are too small to gain.
+        torch.set_num_threads(1)
         # Compiled code outlives the process: other learners and later runs load it.
         os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache_root() / "compiled"))
+        # The default of 8 ends a process that holds more brains than that with an error.
+        torch._dynamo.config.recompile_limit = VARIANTS
 
     def fuse(self, function: Callable[P, T]) -> Callable[P, T]:
         """`function` with the same results up to rounding; argument shapes must not vary."""

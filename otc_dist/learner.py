@@ -10,6 +10,7 @@ environment.
 Everything random is keyed by (seed, agent, purpose, deployment, step or block of updates).
 """
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,6 +38,7 @@ from otc_dist.training import train
 from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
 
 SAVE_EVERY = 10_000  # offline updates between two checkpoints
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,8 @@ class Learner:
         tuned: k of the policy pi_k it holds; -1 before pi_0.
 
     Raises:
-        UserError: the data do not fit the agent, or the engine cannot run here.
-        ValueError: data that are not finite.
+        UserError: the engine cannot run here.
+        ValueError: data of other sizes than the agent's, or that are not finite.
     """
 
     def __init__(self, description: Description, spec: AgentSpec, data: Transitions) -> None:
@@ -75,6 +77,7 @@ class Learner:
         self._engine = Engine(resolve(description.engine.name, updates))
 
         low, high = np.array([spec.action_low, spec.action_high], np.float32)
+        self._action_low, self._action_high = low, high
         self._action_centre: Float32 = (low + high) / np.float32(2)
         self._action_scale: Float32 = (high - low) / np.float32(2)
         self._layout = RowLayout(spec.observation_size, spec.action_size)
@@ -156,7 +159,10 @@ class Learner:
             draws = {name: array[0] for name, array in to_tensors(noise, device).items()}
             states = torch.tensor(observations, device=device)
             actions = self._algorithm.act(self._state, states, draws).cpu().numpy()
-        return actions * self._action_scale + self._action_centre
+        actions = actions * self._action_scale + self._action_centre
+        # Rounding may exceed bounds by a bit.
+        clipped: Float32 = np.clip(actions, self._action_low, self._action_high)
+        return clipped
 
     def tune(self, deployment: int, data: Transitions, report: Report) -> None:
         """Merge D_k, adapt alpha by Eq. 4, and make L updates (lines 5 to 16 of Algorithm 1).
@@ -268,6 +274,8 @@ class Learner:
                 )
         if sampling.adaptive:
             self._alpha = self._alpha.adapt(similarity, sampling.alpha_bound)
+            if self._alpha.value == sampling.alpha_bound > 0:
+                log.warning("sampling.alpha_bound binds: alpha is %g", self._alpha.value)
         return {"alpha": self._alpha.value, "similarity": similarity, "guarded": guarded}
 
     def _update_by(self, sampler: Sampler) -> Update:

@@ -113,7 +113,8 @@ class ReplayBuffer:
     Memory is taken once, at construction, for B_0 and all the deployments to come.
 
     Raises:
-        ValueError: more transitions than `capacity`, or a value that is not finite.
+        ValueError: more transitions than `capacity`, sizes that are not the layout's, or a value
+            that is not finite.
     """
 
     def __init__(self, layout: RowLayout, capacity: int) -> None:
@@ -129,6 +130,10 @@ class ReplayBuffer:
         if end > len(self.rows):
             raise ValueError(f"{end} transitions do not fit into {len(self.rows)} rows")
         layout, rows = self.layout, self.rows[self.size : end]
+        found = tuple(x.shape[1] for x in (data.observations, data.actions, data.next_observations))
+        expected = (layout.observation_size, layout.action_size, layout.observation_size)
+        if found != expected:  # numpy would broadcast a size of one
+            raise ValueError(f"sizes of s, a, s' are {found}, not {expected}")
         rows[:, layout.observation] = data.observations
         rows[:, layout.action] = data.actions
         rows[:, layout.reward] = data.rewards

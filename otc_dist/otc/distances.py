@@ -10,8 +10,7 @@ from torch import Tensor
 from otc_dist.description import NormaliserName
 
 GUARD = 1e-2  # a normaliser below this many standard deviations is replaced
-NEIGHBOURS = (-2, -1, 0, 1)  # around the insertion point: the two on each side
-
+NEIGHBOURS = 2  # looked at on each side of the insertion point: one may be the query itself
 
 Ids = tuple[Tensor, Tensor]  # row numbers (B,) of the queries and (D,) of the references
 
@@ -38,7 +37,8 @@ def nearest_l1(queries: Tensor, references: Tensor, ids: Ids | None = None) -> T
 def match_values(queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:
     """Index (B,) of the reference whose Q is nearest to each query's: arg min d_q (Eq. 1).
 
-    References in random order make ties fall at random: the first of equals is taken.
+    References in random order make ties fall at random: of equally near neighbours the one that
+    comes first in that order is taken.
 
     Args:
         queries: Q(s, a_i) (B,) of the minibatch B.
@@ -47,7 +47,7 @@ def match_values(queries: Tensor, references: Tensor, ids: Ids | None = None) ->
     """
     values, order = references.sort(stable=True)
     insertion = torch.searchsorted(values, queries).unsqueeze(1)
-    nearby = insertion + torch.tensor(NEIGHBOURS, device=queries.device)
+    nearby = insertion + torch.arange(-NEIGHBOURS, NEIGHBOURS, device=queries.device)
     inside = (nearby >= 0) & (nearby < len(values))
     nearby = nearby.clamp(0, len(values) - 1)
     gap = (values[nearby] - queries.unsqueeze(1)).abs()
@@ -55,8 +55,8 @@ def match_values(queries: Tensor, references: Tensor, ids: Ids | None = None) ->
     if ids is not None:
         inside = inside & (ids[1][candidates] != ids[0].unsqueeze(1))
     gap = gap.masked_fill(~inside, torch.inf)
-    best = gap.argmin(1, keepdim=True)
-    return candidates.gather(1, best).squeeze(1)
+    tied = gap == gap.amin(1, keepdim=True)
+    return candidates.masked_fill(~tied, len(values)).amin(1)
 
 
 def next_state_distance(
