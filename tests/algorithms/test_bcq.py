@@ -1,0 +1,113 @@
+"""BCQ as pure functions equals a plain BCQ of modules, autograd and torch.optim.Adam."""
+
+import numpy as np
+import pytest
+import torch
+
+from otc_dist.algorithms.bcq import Bcq
+from otc_dist.algorithms.draws import draw
+from otc_dist.algorithms.interface import Batch, State
+
+from .. import references
+
+SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
+UPDATES, BATCH, CANDIDATES = 120, 32, 5
+
+
+def make(s: int, a: int, hidden: tuple[int, ...]) -> Bcq:
+    return Bcq(
+        observation_size=s,
+        action_size=a,
+        hidden=hidden,
+        actor_learning_rate=3e-4,
+        critic_learning_rate=5e-4,
+        vae_learning_rate=1e-3,
+        discount=0.99,
+        target_rate=0.05,
+        target_candidates=CANDIDATES,
+        acting_candidates=20,
+        perturbation=0.05,
+        soft_minimum=0.75,
+    )
+
+
+def random_batch(random: np.random.Generator, s: int, a: int, size: int = BATCH) -> Batch:
+    states = random.standard_normal((2, size, s))
+    fields = (
+        states[0],
+        random.uniform(-1, 1, (size, a)),
+        random.standard_normal(size),
+        states[0] + 0.1 * states[1],
+        (random.random(size) < 0.1).astype(float),
+    )
+    return Batch(*(torch.from_numpy(field) for field in fields))
+
+
+def double(arrays: dict[str, np.ndarray]) -> State:
+    return {name: torch.from_numpy(np.array(array, np.float64)) for name, array in arrays.items()}
+
+
+def first(arrays: dict[str, np.ndarray]) -> State:
+    return {name: tensor[0] for name, tensor in double(arrays).items()}
+
+
+@pytest.mark.parametrize(("s", "a", "hidden"), SIZES)
+def test_losses_and_weights_equal_the_plain_version_in_float64(
+    s: int, a: int, hidden: tuple[int, ...]
+) -> None:
+    random = np.random.default_rng(0)
+    bcq = make(s, a, hidden)
+    state = double(bcq.initial_state(random))
+    # Other targets than networks, so that a mistaken use of either shows.
+    for name in ("critic", "actor"):
+        state[f"{name}_target"] = double(bcq.initial_state(random))[name]
+    plain = references.Bcq(s, a, hidden, actor_rate=3e-4, critic_rate=5e-4, vae_rate=1e-3, tau=0.05)
+    plain.load(state)
+    for _ in range(UPDATES):
+        batch = random_batch(random, s, a)
+        noise = first(draw(random, bcq.noise(BATCH), 1))
+        state, metrics = bcq.update(state, batch, noise)
+        expected = plain.update(batch, noise)
+        np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10, atol=1e-12)
+    for name, weights in plain.weights().items():
+        np.testing.assert_allclose(state[name].numpy(), weights.numpy(), atol=1e-10, err_msg=name)
+    assert float(state["updates"]) == UPDATES
+
+    states = torch.from_numpy(random.standard_normal((6, s)))
+    wanted = {**bcq.acting_noise(6), **bcq.value_noise(6, 4)}
+    noise = first(draw(random, wanted, 1))
+    with torch.no_grad():
+        actions, values = plain.act(states, noise["act"]), plain.value(states, noise["value"])
+    np.testing.assert_allclose(bcq.act(state, states, noise), actions, atol=1e-10)
+    np.testing.assert_allclose(bcq.value(state, states, noise), values, atol=1e-10)
+
+
+def test_update_leaves_its_arguments_alone() -> None:
+    random = np.random.default_rng(1)
+    bcq = make(4, 2, (8, 8))
+    state = double(bcq.initial_state(random))
+    before = {name: tensor.clone() for name, tensor in state.items()}
+    new, _ = bcq.update(state, random_batch(random, 4, 2), first(draw(random, bcq.noise(BATCH), 1)))
+    for name, tensor in before.items():
+        assert torch.equal(state[name], tensor), name
+        assert not torch.equal(new[name], tensor), name
+
+
+def test_target_at_a_terminal_state_is_the_reward() -> None:
+    random = np.random.default_rng(2)
+    bcq = make(4, 2, (8, 8))
+    state = double(bcq.initial_state(random))
+    batch = random_batch(random, 4, 2)._replace(terminated=torch.ones(BATCH).double())
+    noise = first(draw(random, bcq.noise(BATCH), 1))
+    assert torch.equal(bcq.target(state, batch, noise["target"]), batch.reward)
+
+
+def test_actions_stay_within_bounds() -> None:
+    random = np.random.default_rng(3)
+    bcq = make(4, 2, (8, 8))
+    state = double(bcq.initial_state(random))
+    state["vae"] = state["vae"] * 50  # saturates the decoder
+    state["actor"] = state["actor"] * 50
+    states = torch.from_numpy(random.standard_normal((64, 4)))
+    actions = bcq.act(state, states, first(draw(random, bcq.acting_noise(64), 1)))
+    assert actions.abs().max() == 1.0

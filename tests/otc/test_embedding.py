@@ -1,0 +1,65 @@
+"""The embedding of d_e equals a plain conditional VAE, and keeps its dimensions alive."""
+
+import numpy as np
+import torch
+
+from otc_dist.algorithms.draws import draw
+from otc_dist.algorithms.interface import Batch
+from otc_dist.otc.embedding import Embedding, active_dimensions
+
+from .. import references
+
+S, A, SIZE, HIDDEN = 11, 2, 10, (32, 16)
+EMBEDDING = Embedding(S, A, SIZE, HIDDEN, learning_rate=1e-3, kl_weight=1e-2)
+
+
+def random_batch(random: np.random.Generator, size: int) -> Batch:
+    s, next_s = random.normal(3.0, 2.0, (2, size, S))
+    a = np.tanh(s[:, :A] - next_s[:, :A]) + 0.1 * random.standard_normal((size, A))
+    fields = (s, a, np.zeros(size), next_s, np.zeros(size))
+    return Batch(*(torch.from_numpy(field) for field in fields))
+
+
+def test_losses_and_weights_equal_the_plain_version_in_float64() -> None:
+    random = np.random.default_rng(0)
+    data = random_batch(random, 500)
+    initial = EMBEDDING.initial_state(random, data)
+    state = {name: torch.from_numpy(np.array(x, np.float64)) for name, x in initial.items()}
+    plain = references.ConditionalVae(S, A, SIZE, HIDDEN, rate=1e-3, kl_weight=1e-2)
+    references.set_flat([plain.encoder, plain.decoder], state["network"])
+    plain.fit_moments(data.observation, data.action)
+    np.testing.assert_allclose(state["state_mean"], plain.s_mean, rtol=1e-6)
+    np.testing.assert_allclose(state["action_std"], plain.a_std, rtol=1e-6)
+    plain.s_mean, plain.s_std = state["state_mean"], state["state_std"]
+    plain.a_mean, plain.a_std = state["action_mean"], state["action_std"]
+
+    for _ in range(120):
+        batch = random_batch(random, 64)
+        drawn = draw(random, EMBEDDING.noise(64), 1)["embedding"][0]
+        noise = torch.from_numpy(drawn).double()
+        state, metrics = EMBEDDING.update(state, batch, {"embedding": noise})
+        expected = plain.update(batch, noise)
+        np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10, atol=1e-12)
+    weights = references.get_flat([plain.encoder, plain.decoder])
+    np.testing.assert_allclose(state["network"], weights, atol=1e-10)
+
+    batch = random_batch(random, 50)
+    expected_mu = plain.embed(batch.observation, batch.action, batch.next_observation)
+    np.testing.assert_allclose(EMBEDDING.embed(state, batch), expected_mu, atol=1e-10)
+
+
+def test_statistics_stay_those_of_the_offline_data() -> None:
+    random = np.random.default_rng(1)
+    initial = EMBEDDING.initial_state(random, random_batch(random, 100))
+    state = {name: torch.from_numpy(x) for name, x in initial.items()}
+    noise = {"embedding": torch.zeros(8, SIZE)}
+    shifted = Batch(*(field.float() + 100 for field in random_batch(random, 8)))
+    new, _ = EMBEDDING.update(state, shifted, noise)
+    for name in ("state_mean", "state_std", "action_mean", "action_std"):
+        assert torch.equal(new[name], state[name])
+
+
+def test_active_dimensions_are_those_that_vary() -> None:
+    spread = torch.tensor([1.0, 0.2, 0.11, 0.09, 0.0])  # variances 1, .04, .0121, .0081, 0
+    values = torch.tensor([-1.0, 1.0]).repeat(5000).unsqueeze(1) * spread
+    assert active_dimensions(values) == 3

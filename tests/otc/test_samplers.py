@@ -1,0 +1,236 @@
+"""The sampling strategies: which rows they look at, and OTC's choice against plain loops."""
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from otc_dist.algorithms import create
+from otc_dist.algorithms.draws import Draws, draw
+from otc_dist.algorithms.interface import Algorithm, State, unpack
+from otc_dist.description import AlgorithmSection, SamplingSection
+from otc_dist.otc import create_sampler
+from otc_dist.otc.samplers import Data, Extent, Otc
+from otc_dist.otc.similarity import embedding_similarity, value_similarity
+from otc_dist.transitions import RowLayout
+
+from .. import references
+
+S, A, BATCH = 5, 2, 16
+LAYOUT = RowLayout(S, A)
+EXTENT = Extent(offline=300, newest=360, size=400)  # D_1 is [300, 360), D_2 is [360, 400)
+ALGORITHM: Algorithm = create(AlgorithmSection(hidden=(16, 16)), S, A)
+STRATEGIES = [
+    *product(["embedding"], ["relative"], [False, True], [False, True]),
+    *product(["value"], ["relative", "shared", "paper"], [False, True], [False, True]),
+]
+
+
+def settings(**changes: Any) -> SamplingSection:
+    values: dict[str, Any] = {"candidates": 64, "references": 30, "value_samples": 3}
+    return SamplingSection(**(values | changes))
+
+
+def held(seed: int = 0) -> Data:
+    """Rows and embeddings; after `EXTENT.size` NaN, which nobody may look at."""
+    random = np.random.default_rng(seed)
+    rows = random.standard_normal((450, LAYOUT.width))
+    rows[:, LAYOUT.terminated] = random.random(450) < 0.2
+    embeddings = random.standard_normal((450, 4))
+    for array in (rows, embeddings):
+        array[EXTENT.size :] = np.nan
+    return Data(torch.from_numpy(rows), torch.from_numpy(embeddings))
+
+
+def state(seed: int = 0) -> State:
+    initial = ALGORITHM.initial_state(np.random.default_rng(seed))
+    return {name: torch.from_numpy(np.array(x, np.float64)) for name, x in initial.items()}
+
+
+def one_update(sampler: Any, seed: int, alpha: float) -> Draws:
+    random = np.random.default_rng(seed)
+    arrays = {**sampler.draw(random, 1, EXTENT), **draw(random, sampler.noise(), 1)}
+    tensors = {
+        name: torch.from_numpy(array if array.dtype == np.int64 else array.astype(np.float64))[0]
+        for name, array in arrays.items()
+    }
+    return tensors | {"alpha": torch.tensor(alpha).double()}
+
+
+def plain_distances(
+    section: SamplingSection, state: State, data: Data, candidates: Any, online: Any, noise: Draws
+) -> np.ndarray:
+    """d(s', s'*) one candidate at a time."""
+    bcq = references.Bcq(S, A, (16, 16))
+    bcq.load(state)
+    forbidden = candidates[:, None] == online[None, :] if section.exclude_self else None
+    if section.distance == "embedding":
+        mu = data.embeddings.numpy()
+        gap = np.abs(mu[candidates][:, None] - mu[online][None]).sum(-1)
+        return np.where(forbidden, np.inf, gap).min(1) if forbidden is not None else gap.min(1)
+    rows = data.rows
+
+    def q(numbers: Any) -> np.ndarray:
+        batch = unpack(rows[numbers], LAYOUT)
+        return bcq.critics[0](batch.observation, batch.action)[:, 0].numpy()
+
+    def v(numbers: Any) -> np.ndarray:
+        batch = unpack(rows[numbers], LAYOUT)
+        values = bcq.value(batch.next_observation, noise["value"]).numpy()
+        return np.where(batch.terminated == 1, 0.0, values)
+
+    with torch.no_grad():
+        gap = np.abs(q(candidates)[:, None] - q(online)[None, :])
+        if forbidden is not None:
+            gap = np.where(forbidden, np.inf, gap)
+        matched = online[gap.argmin(1)]
+        values, matched_values = v(candidates), v(matched)
+    if section.normaliser == "relative":  # terminal matches: V* = 0 is guarded
+        spread = np.concatenate([values, matched_values]).std(ddof=1)
+        small = np.abs(matched_values) < 0.01 * spread
+        sign = np.where(matched_values < 0, -1, 1)
+        scale = np.where(small, 0.01 * spread * sign, matched_values)
+        return np.abs((values - matched_values) / scale)
+    return references.value_distance(values, matched_values, section.normaliser)
+
+
+@pytest.mark.parametrize(("distance", "normaliser", "replace", "exclude"), STRATEGIES)
+@pytest.mark.parametrize("matching", ["minibatch", "exact"])
+def test_otc_chooses_what_plain_loops_choose(
+    matching: str, distance: str, normaliser: str, replace: bool, exclude: bool
+) -> None:
+    section = settings(
+        matching=matching,
+        distance=distance,
+        normaliser=normaliser,
+        with_replacement=replace,
+        exclude_self=exclude,
+    )
+    sampler, data, weights = Otc(ALGORITHM, LAYOUT, section, BATCH), held(), state()
+    for seed, alpha in enumerate([0.0, 1.0, 2.5]):
+        draws = one_update(sampler, seed, alpha)
+        with torch.no_grad():
+            gathered = sampler.gather(data, draws)
+            distances, _ = sampler.distances(weights, gathered, draws)
+            chosen = sampler.select(weights, gathered, draws).rows
+        candidates, online = draws["candidates"].numpy(), draws["references"].numpy()
+        expected = plain_distances(section, weights, data, candidates, online, draws)
+        np.testing.assert_allclose(distances, expected, rtol=1e-9, atol=1e-12)
+        positions = references.prioritized(
+            expected, alpha, draws["priority"].numpy(), BATCH, section.with_replacement
+        )
+        assert chosen.tolist() == candidates[positions].tolist()
+
+
+@pytest.mark.parametrize("distance", ["embedding", "value"])
+def test_minibatches_come_from_where_they_should(distance: str) -> None:
+    sampler = Otc(ALGORITHM, LAYOUT, settings(distance=distance), BATCH)
+    drawn = sampler.draw(np.random.default_rng(0), 500, EXTENT)
+    assert drawn["candidates"].shape == (500, 64) and drawn["references"].shape == (500, 30)
+    counts = np.bincount(drawn["candidates"].ravel(), minlength=400)  # B_k: all of it, uniformly
+    assert len(counts) == 400 and stats.chisquare(counts).pvalue > 1e-3
+    online = drawn["references"]  # D_k: the newest only, none twice in a minibatch
+    assert online.min() == 360 and online.max() == 399
+    assert all(len(set(row)) == 30 for row in online)
+    places = np.bincount(online[:, 0] - 360, minlength=40)  # in random order
+    assert stats.chisquare(places).pvalue > 1e-3
+
+
+def test_a_small_online_set_is_taken_whole() -> None:
+    sampler = Otc(ALGORITHM, LAYOUT, settings(references=2000), BATCH)
+    drawn = sampler.draw(np.random.default_rng(0), 3, EXTENT)["references"]
+    assert [sorted(row) for row in drawn.tolist()] == [list(range(360, 400))] * 3
+
+
+def test_exact_matching_looks_at_all_of_the_newest_data() -> None:
+    sampler = Otc(ALGORITHM, LAYOUT, settings(matching="exact", references=3), BATCH)
+    drawn = sampler.draw(np.random.default_rng(0), 3, EXTENT)["references"]
+    assert [sorted(row) for row in drawn.tolist()] == [list(range(360, 400))] * 3
+    assert drawn[0].tolist() != drawn[1].tolist()  # in random order, for ties
+
+
+def test_terminal_next_states_have_value_zero() -> None:
+    data = held()
+    data.rows[:, LAYOUT.terminated] = 1
+    sampler = Otc(ALGORITHM, LAYOUT, settings(distance="value"), BATCH)
+    draws = one_update(sampler, 0, 1.0)
+    with torch.no_grad():
+        distances, guarded = sampler.distances(state(), sampler.gather(data, draws), draws)
+    assert torch.equal(distances, torch.zeros(64).double())
+    assert guarded == 64
+
+
+@pytest.mark.parametrize("distance", ["embedding", "value"])
+def test_online_transitions_match_themselves_unless_excluded(distance: str) -> None:
+    for exclude, expected in ((False, True), (True, False)):
+        section = settings(distance=distance, matching="exact", exclude_self=exclude)
+        sampler, data = Otc(ALGORITHM, LAYOUT, section, BATCH), held()
+        draws = one_update(sampler, 0, 1.0)
+        own = draws["candidates"] >= EXTENT.newest
+        with torch.no_grad():
+            distances, _ = sampler.distances(state(), sampler.gather(data, draws), draws)
+        assert own.any()
+        assert bool((distances[own] == 0).all()) is expected
+
+
+def test_uniform_covers_all_and_online_only_covers_the_online_data() -> None:
+    for name, first in (("uniform", 0), ("online-only", 300)):
+        sampler = create_sampler(settings(name=name), ALGORITHM, LAYOUT, BATCH)
+        draws = sampler.draw(np.random.default_rng(0), 2000, EXTENT)
+        assert draws["batch"].shape == (2000, BATCH)
+        counts = np.bincount(draws["batch"].ravel(), minlength=400)
+        assert counts[:first].sum() == 0 and len(counts) == 400
+        assert stats.chisquare(counts[first:]).pvalue > 1e-3
+        one = {"batch": torch.from_numpy(draws["batch"][0])}
+        selection = sampler.select(state(), sampler.gather(held(), one), one)
+        assert torch.equal(selection.rows, one["batch"]) and selection.guarded == 0
+
+
+@pytest.mark.parametrize("exclude", [False, True])
+def test_expected_similarity_by_embedding_is_the_mean_nearest_distance(exclude: bool) -> None:
+    data = held()
+    everything = EXTENT._replace(offline=400)  # so that the sample is all of B_k
+    section = settings(similarity_sample=400, exclude_self=exclude)
+    numbers, online = np.arange(400), np.arange(360, 400)
+    expected = plain_distances(section, state(), data, numbers, online, {}).mean()
+    found = embedding_similarity(data, everything, section, np.random.default_rng(0))
+    assert found == pytest.approx(expected, rel=1e-12)
+
+
+def test_sample_of_the_similarity_keeps_its_size_as_data_grow() -> None:
+    sizes = []
+
+    class Counting(np.random.Generator):
+        def choice(self, a: Any, size: Any = None, **other: Any) -> Any:
+            sizes.append(size)
+            return super().choice(a, size, **other)
+
+    for size in (360, 400):
+        extent = EXTENT._replace(size=size, newest=size - 40)
+        random = Counting(np.random.PCG64(0))
+        embedding_similarity(held(), extent, settings(similarity_sample=350), random)
+    assert sizes == [300, 300]
+
+
+@pytest.mark.parametrize("normaliser", ["relative", "shared", "paper"])
+def test_expected_similarity_by_value_is_exact(
+    normaliser: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over all of B_k and D_k, in chunks; the perturbed mean action makes V free of noise here."""
+    monkeypatch.setattr("otc_dist.otc.similarity.CHUNK", 64)
+    data, weights = Data(*(part.float() for part in held())), state()
+    weights["vae"] = weights["vae"] * 0  # every decoded action is 0
+    single = {name: tensor.float() for name, tensor in weights.items()}
+    section = settings(distance="value", normaliser=normaliser, matching="exact")
+    numbers, online = np.arange(400), np.arange(360, 400)
+    noise = {"value": torch.zeros(400, 1, 2 * A).double()}
+    exact = Data(*(part.double() for part in data))
+    expected = plain_distances(section, weights, exact, numbers, online, noise).mean()
+    with torch.no_grad():
+        found, _ = value_similarity(
+            ALGORITHM, single, data, EXTENT, LAYOUT, section, np.random.default_rng(0)
+        )
+    assert found == pytest.approx(expected, rel=1e-3)
