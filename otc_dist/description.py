@@ -75,7 +75,7 @@ class EmbeddingSection(Section):
     updates: int = Field(default=10_000, ge=1)
     batch_size: int = Field(default=256, ge=1)
     learning_rate: float = Field(default=1e-3, gt=0)
-    kl_weight: float = Field(default=1e-3, ge=0, description="small, or the latent collapses")
+    kl_weight: float = Field(default=3e-5, ge=0, description="small, or the latent collapses")
     minimum_active: int = Field(
         default=4, ge=0, description="warn below this many active dimensions"
     )
@@ -107,9 +107,9 @@ class SamplingSection(Section):
 
 
 class OfflineSection(Section):
-    """Offline training to pi_0. Targets need 60,000 updates and more to settle (tau 0.005)."""
+    """Offline training to pi_0. Targets with tau 0.005 settle in tens of thousands of updates."""
 
-    updates: int = Field(default=60_000, ge=0, description="offline updates to pi_0")
+    updates: int = Field(default=100_000, ge=0, description="offline updates to pi_0")
 
 
 class DeploymentSection(Section):
