@@ -113,12 +113,12 @@ class Session:
         Raises:
             UserError: the endpoint is in use or cannot be listened on.
         """
-        config = _config("router", maximum_payload, {"listen/endpoints": [endpoint]})
+        settings = {"listen/endpoints": [endpoint]}
         try:
-            return cls(zenoh.open(config))
+            return cls(zenoh.open(_config("router", maximum_payload, settings)))
         except zenoh.ZError as error:
             raise UserError(
-                f"cannot listen on {endpoint}: it is in use, or not permitted"
+                f"cannot listen on {endpoint}: it is in use, not permitted or no endpoint"
                 f" ({_first_line(error)})"
             ) from None
 

@@ -1,0 +1,288 @@
+"""How fast is a lock-step? One host and three agents, each its own process, E = 1.
+
+    python benchmarks/lockstep.py [--rounds 7] [--steps 500]
+
+Every transport carries the same payloads: the codec's messages for 3-agent Hopper, answered by an
+11-64-64-1 network in numpy. Ours also checks every field of every message and writes every step
+to a real deployment log before it sends the next; the others do neither. Rounds are interleaved,
+and ratios are those of the same round, so that a busy machine disturbs all alike. gRPC and Ray
+are left out where they are not installed (`pip install pyzmq grpcio ray`).
+"""
+
+import argparse
+import importlib.util
+import multiprocessing as mp
+import os
+import queue
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import numpy as np
+
+from otc_dist.bus.keys import Keys
+from otc_dist.bus.lockstep import HostLockstep, LearnerLockstep
+from otc_dist.bus.messages import Action, AgentCodec, Moment, Observation, StepOutcome
+from otc_dist.bus.session import Session, local_endpoint, remove_local_endpoint
+from otc_dist.bus.wire import Rejections
+from otc_dist.deployment_log.header import LogHeader
+from otc_dist.deployment_log.writer import LogWriter
+from otc_dist.envs.registry import team_spec
+from otc_dist.transitions import JointStep
+
+TEAM = team_spec("hopper-3x1")
+AGENTS = range(len(TEAM.agents))
+COPIES = {"deployment": 1, "evaluation": 1, "done": 0}
+MAXIMUM = 2**20
+DIGEST = "0" * 16
+CODECS = [AgentCodec("bench", agent, COPIES) for agent in TEAM.agents]
+_random = np.random.default_rng(0)
+SEEN = tuple(_random.standard_normal((1, 11), dtype=np.float32) for _ in AGENTS)
+OUTCOME = StepOutcome(np.ones(1, np.float32), SEEN[0], np.zeros(1, np.bool_), np.zeros(1, np.bool_))
+WEIGHTS = [
+    _random.standard_normal(shape, dtype=np.float32) / 8 for shape in ((11, 64), (64, 64), (64, 1))
+]
+
+
+def policy(observations: np.ndarray) -> np.ndarray:
+    first, second, last = WEIGHTS
+    hidden = np.maximum(np.maximum(observations @ first, 0) @ second, 0)
+    return np.tanh(hidden @ last)
+
+
+def question(index: int, step: int) -> Observation:
+    return Observation(Moment("deployment", 1, 1, step), SEEN[index], OUTCOME if step else None)
+
+
+def plain_questions(step: int) -> list[bytes]:
+    return [CODECS[index].encode_observation(question(index, step)) for index in AGENTS]
+
+
+def plain_answer(payload: bytes) -> bytes:
+    """What an agent of the peers does: decode, act, encode; nothing is checked."""
+    version, run, agent, phase, deployment, epoch, step, seen, *_ = msgpack.unpackb(payload)
+    action = policy(np.frombuffer(seen, "<f4").reshape(1, 11))
+    head = [version, run, agent, phase, deployment, epoch, step]
+    return msgpack.packb([*head, action.tobytes(), DIGEST])
+
+
+def plain_actions(answers: Sequence[bytes]) -> list[np.ndarray]:
+    return [np.frombuffer(msgpack.unpackb(answer)[7], "<f4") for answer in answers]
+
+
+Step = Callable[[int], object]
+Transport = Callable[[Path], Iterator[Step]]  # a generator: yields its step once, then cleans up
+
+
+def _spawn(target: Callable[..., None], *arguments: object) -> list[Any]:
+    context = mp.get_context("spawn")
+    processes = [context.Process(target=target, args=(i, *arguments)) for i in AGENTS]
+    for process in processes:
+        process.start()
+    return processes
+
+
+def _end(processes: Sequence[Any]) -> None:
+    for process in processes:
+        process.terminate()
+        process.join()
+
+
+def _our_agent(index: int, endpoint: str) -> None:
+    agent = TEAM.agents[index]
+    with Session.connect(endpoint, MAXIMUM) as session:
+        side = LearnerLockstep(session, Keys("bench"), agent, COPIES, Rejections())
+        while True:
+            asked = side.question(60.0)
+            if asked is not None and asked.observations is not None:
+                side.answer(Action(asked.moment, policy(asked.observations), DIGEST))
+
+
+def ours(folder: Path) -> Iterator[Step]:
+    endpoint = local_endpoint(folder)
+    header = LogHeader("bench", 1, 0, "", "", TEAM, 1)
+    writer = LogWriter.create(folder / "bench.mcap", header)
+    seeds, state = np.zeros(1, np.int64), np.zeros((1, TEAM.state_size))
+    with Session.listen(endpoint, MAXIMUM) as session:
+        host = HostLockstep(session, Keys("bench"), TEAM.agents, COPIES, 60.0, Rejections())
+        processes = _spawn(_our_agent, endpoint)
+
+        def step(number: int) -> None:
+            answers = host.ask([question(index, number) for index in AGENTS], acting=True)
+            actions = tuple(a.actions for a in answers if a.actions is not None)
+            ends = (OUTCOME.terminated, OUTCOME.truncated, (False,) * 3)
+            rewards = (OUTCOME.rewards,) * 3
+            writer.write(JointStep(number, SEEN, actions, rewards, SEEN, *ends, seeds, state))
+
+        yield step
+        _end(processes)
+    writer.close()
+    remove_local_endpoint(endpoint)
+
+
+def _zmq_agent(index: int, folder: str) -> None:
+    import zmq
+
+    with zmq.Context() as context, context.socket(zmq.PAIR) as socket:
+        socket.connect(f"ipc://{folder}/zmq{index}")
+        while True:
+            socket.send(plain_answer(socket.recv()))
+
+
+def pyzmq(folder: Path) -> Iterator[Step]:
+    import zmq
+
+    context = zmq.Context()
+    sockets = [context.socket(zmq.PAIR) for _ in AGENTS]
+    for index, socket in enumerate(sockets):
+        socket.bind(f"ipc://{folder}/zmq{index}")
+    processes = _spawn(_zmq_agent, str(folder))
+
+    def step(number: int) -> list[np.ndarray]:
+        for socket, payload in zip(sockets, plain_questions(number), strict=True):
+            socket.send(payload)
+        return plain_actions([socket.recv() for socket in sockets])
+
+    yield step
+    _end(processes)
+    context.destroy(linger=0)
+
+
+def _pipe_agent(index: int, ends: Sequence[Connection]) -> None:
+    while True:
+        ends[index].send_bytes(plain_answer(ends[index].recv_bytes()))
+
+
+def pipe(folder: Path) -> Iterator[Step]:
+    pairs = [mp.get_context("spawn").Pipe() for _ in AGENTS]
+    processes = _spawn(_pipe_agent, [theirs for _, theirs in pairs])
+
+    def step(number: int) -> list[np.ndarray]:
+        for (mine, _), payload in zip(pairs, plain_questions(number), strict=True):
+            mine.send_bytes(payload)
+        return plain_actions([mine.recv_bytes() for mine, _ in pairs])
+
+    yield step
+    _end(processes)
+
+
+def _grpc_agent(index: int, folder: str) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    import grpc
+
+    def act(requests: Iterator[bytes], _: object) -> Iterator[bytes]:
+        return (plain_answer(payload) for payload in requests)
+
+    server = grpc.server(ThreadPoolExecutor(1))
+    handler = {"act": grpc.stream_stream_rpc_method_handler(act)}
+    server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler("agent", handler),))
+    server.add_insecure_port(f"unix:{folder}/grpc{index}")
+    server.start()
+    server.wait_for_termination()
+
+
+def grpc_streaming(folder: Path) -> Iterator[Step]:
+    import grpc
+
+    processes = _spawn(_grpc_agent, str(folder))
+    outgoing: list[queue.SimpleQueue[bytes | None]] = [queue.SimpleQueue() for _ in AGENTS]
+    channels = [grpc.insecure_channel(f"unix:{folder}/grpc{index}") for index in AGENTS]
+    streams = [
+        channel.stream_stream("/agent/act")(iter(source.get, None), wait_for_ready=True)
+        for channel, source in zip(channels, outgoing, strict=True)
+    ]
+
+    def step(number: int) -> list[np.ndarray]:
+        for source, payload in zip(outgoing, plain_questions(number), strict=True):
+            source.put(payload)
+        return plain_actions([next(stream) for stream in streams])
+
+    yield step
+    for source, channel in zip(outgoing, channels, strict=True):
+        source.put(None)
+        channel.close()
+    _end(processes)
+
+
+def ray_actors(folder: Path) -> Iterator[Step]:
+    import ray
+
+    here = str(Path(__file__).resolve().parent)
+    paths = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])
+    ray.init(
+        num_cpus=len(AGENTS),
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="ERROR",
+        runtime_env={"env_vars": {"PYTHONPATH": paths}},
+    )
+
+    class Agent:
+        def act(self, payload: bytes) -> bytes:
+            return plain_answer(payload)
+
+    actors = [ray.remote(Agent).remote() for _ in AGENTS]
+
+    def step(number: int) -> list[np.ndarray]:
+        questions = zip(actors, plain_questions(number), strict=True)
+        return plain_actions(ray.get([actor.act.remote(payload) for actor, payload in questions]))
+
+    yield step
+    ray.shutdown()
+
+
+# Name, what it needs, how it is made, and the most that our time a step may be of its time.
+PEERS: tuple[tuple[str, str, Transport, float | None], ...] = (
+    ("pyzmq", "zmq", pyzmq, 1.5),
+    ("multiprocessing.Pipe", "multiprocessing", pipe, None),
+    ("gRPC streaming", "grpc", grpc_streaming, 1 / 2),
+    ("Ray actors", "ray", ray_actors, 1 / 5),
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--steps", type=int, default=500, help="lock-steps a round and transport")
+    arguments = parser.parse_args()
+    limits: dict[str, float | None] = {"ours": None}
+    times: dict[str, list[float]] = {}  # seconds a step, by round
+    with tempfile.TemporaryDirectory(prefix="lockstep") as name:
+        running = {"ours": ours(Path(name))}
+        for peer, module, make, limit in PEERS:
+            if importlib.util.find_spec(module) is None:
+                print(f"{peer}: left out, {module} is not installed")
+            else:
+                running[peer], limits[peer] = make(Path(name)), limit
+        steps = {peer: next(transport) for peer, transport in running.items()}
+        numbers = dict.fromkeys(steps, 0)
+        for length in (100, *[arguments.steps] * arguments.rounds):  # the first warms up
+            for peer, step in steps.items():
+                start = time.perf_counter()
+                for number in range(numbers[peer], numbers[peer] + length):
+                    step(number)
+                numbers[peer] += length
+                times.setdefault(peer, []).append((time.perf_counter() - start) / length)
+        for transport in running.values():
+            next(transport, None)
+    print(f"{'':22} {'steps/s':>8} {'us/step':>8}   our time / its time (median, range, limit)")
+    for peer, measured in times.items():
+        median = statistics.median(measured[1:])
+        line = f"{peer:22} {1 / median:8,.0f} {1e6 * median:8,.0f}"
+        if peer != "ours":
+            ratios = [a / b for a, b in zip(times["ours"][1:], measured[1:], strict=True)]
+            line += f"   {statistics.median(ratios):.2f} ({min(ratios):.2f}..{max(ratios):.2f})"
+            if (limit := limits[peer]) is not None:
+                met = "met" if statistics.median(ratios) <= limit else "MISSED"
+                line += f", at most {limit:.2f}: {met}"
+        print(line)
+
+
+if __name__ == "__main__":
+    main()

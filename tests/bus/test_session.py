@@ -1,0 +1,116 @@
+"""Sessions: private, bounded, and clear about what is wrong."""
+
+import queue
+import socket
+import stat
+from pathlib import Path
+
+import pytest
+
+from otc_dist.bus.session import Session, local_endpoint, remove_local_endpoint
+from otc_dist.errors import UserError
+
+PATIENCE = 20.0  # seconds; only a test that fails waits as long
+
+
+def _socket_folder(endpoint: str) -> Path:
+    return Path(endpoint.removeprefix("unixsock-stream/")).parent
+
+
+def test_the_local_endpoint_lies_in_a_private_folder_and_goes_away(tmp_path: Path) -> None:
+    endpoint = local_endpoint(tmp_path / ("long" * 50))
+    folder = _socket_folder(endpoint)
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert endpoint == local_endpoint(tmp_path / ("long" * 50))
+    assert endpoint != local_endpoint(tmp_path / "other")
+    remove_local_endpoint(endpoint)
+    remove_local_endpoint(local_endpoint(tmp_path / "other"))
+    assert not folder.exists()
+
+
+def test_a_folder_that_others_may_enter_is_refused(tmp_path: Path) -> None:
+    folder = _socket_folder(local_endpoint(tmp_path))
+    folder.chmod(0o755)
+    try:
+        with pytest.raises(UserError, match="mode 0700"):
+            local_endpoint(tmp_path)
+    finally:
+        folder.rmdir()
+
+
+def test_a_socket_path_that_is_too_long_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long = tmp_path / ("x" * 100)
+    long.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
+    with pytest.raises(UserError, match="too long"):
+        local_endpoint(tmp_path)
+
+
+def test_a_used_port_is_one_clear_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(UserError, match="in use") as error:
+            Session.listen(endpoint, 1024)
+    assert "\n" not in str(error.value)
+
+
+def test_a_second_host_of_the_same_run_is_refused(endpoint: str) -> None:
+    with Session.listen(endpoint, 1024), pytest.raises(UserError, match="in use"):
+        Session.listen(endpoint, 1024)
+
+
+def test_a_killed_host_leaves_nothing_that_stops_the_next(endpoint: str) -> None:
+    path = Path(endpoint.removeprefix("unixsock-stream/"))
+    with socket.socket(socket.AF_UNIX) as left:
+        left.bind(str(path))
+    with Session.listen(endpoint, 1024):
+        Session.connect(endpoint, 1024, timeout=PATIENCE).close()
+
+
+def test_nobody_listening_is_one_clear_line(endpoint: str) -> None:
+    with pytest.raises(UserError, match="nobody listens") as error:
+        Session.connect(endpoint, 1024, timeout=0.2)
+    assert "\n" not in str(error.value)
+
+
+def test_payloads_beyond_the_cap_do_not_arrive(endpoint: str) -> None:
+    received: queue.Queue[int] = queue.Queue()
+    with Session.listen(endpoint, 2048) as host, Session.connect(endpoint, 2048) as client:
+        host.subscribe("a/key", lambda payload: received.put(len(payload)))
+        # The client learns of the subscription through its connection; a query is behind it.
+        host.answer("b/key", lambda _: b"")
+        while client.ask("b/key", {}, PATIENCE) is None:
+            pass
+        put = client.publisher("a/key")
+        for size in (10, 4096, 2000):
+            put(b"x" * size)
+        assert [received.get(timeout=PATIENCE) for _ in range(2)] == [10, 2000]
+
+
+def test_queries_carry_parameters_and_refusals(endpoint: str) -> None:
+    def reply(parameters: object) -> bytes:
+        if parameters == {"wrong": "1"}:
+            raise LookupError("no such thing")
+        return repr(parameters).encode()
+
+    with Session.listen(endpoint, 2048) as host, Session.connect(endpoint, 2048) as client:
+        host.answer("a/key", reply)
+        answer = None
+        while answer is None:
+            answer = client.ask("a/key", {"deployment": "3", "start": "0"}, PATIENCE)
+        assert answer == b"{'deployment': '3', 'start': '0'}"
+        with pytest.raises(LookupError, match="no such thing"):
+            client.ask("a/key", {"wrong": "1"}, PATIENCE)
+
+
+def test_liveliness_is_seen_to_come_and_to_go(endpoint: str) -> None:
+    seen: queue.Queue[bool] = queue.Queue()
+    with Session.listen(endpoint, 2048) as host:
+        host.watch_alive("alive/x", seen.put)
+        client = Session.connect(endpoint, 2048)
+        client.declare_alive("alive/x")
+        assert seen.get(timeout=PATIENCE) is True
+        client.close()
+        assert seen.get(timeout=PATIENCE) is False
