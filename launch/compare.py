@@ -1,0 +1,148 @@
+"""`launch compare NAME`: tune several arms from the same offline policies, and compare them."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from otc_dist.comparison import arms as arms_of
+from otc_dist.comparison import report, tables
+from otc_dist.comparison.arms import Arms
+from otc_dist.comparison.scores import ComparisonFolder, Run
+from otc_dist.comparison.statistics import summarise
+from otc_dist.description import Description
+from otc_dist.envs import registry
+from otc_dist.errors import UserError
+
+from . import comparison_jobs, descriptions
+from .jobs import FailedError, Job, StoppedError, cores, run_jobs
+from .parser import Parser
+from .resolve import resolve
+
+EPISODES = 30  # greedy episodes that a comparison needs at least
+
+_EXPLANATION = """\
+Trains the offline policies of every seed once, tunes every arm from them with common random
+numbers, and compares the arms on the same greedy episodes. Raw scores are in OUT/seeds; the result
+is in OUT/comparison.html and OUT/comparison.json, rewritten whenever a seed is complete. The same
+command goes on where it was stopped; more seeds or more arms may be asked for later.
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Compare arms. Returns the exit status.
+
+    Raises:
+        UserError: anything the user can mend: one line, status 2.
+    """
+    arguments = _parser().parse_args(argv)
+    arms = arms_of.parse_arms(arguments.arms, arguments.arm)
+    seeds = arms_of.parse_seeds(arguments.seeds)
+    quick: bool = arguments.quick
+    base = resolve(descriptions.load(arguments.description, arguments.set, None, quick))
+    _check(base, arms, quick)
+    name = f"compare-{base.name}{'-quick' if quick else ''}"
+    folder = ComparisonFolder((arguments.out or Path("runs") / name).resolve())
+    with comparison_jobs.opened(folder, base):
+        return _compare(folder, base, arms, seeds, quick)
+
+
+def _check(base: Description, arms: Arms, quick: bool) -> None:
+    if base.evaluation.episodes < EPISODES and not quick:
+        raise UserError(
+            f"a comparison needs evaluation.episodes >= {EPISODES}, not"
+            f" {base.evaluation.episodes}: returns are too noisy (--quick allows fewer, as a look)"
+        )
+    if not base.deployment.count:
+        raise UserError("a comparison needs deployment.count >= 1: nothing is tuned otherwise")
+    arms_of.check(base, arms)
+
+
+def _compare(
+    folder: ComparisonFolder, base: Description, arms: Arms, seeds: Sequence[int], quick: bool
+) -> int:
+    jobs = comparison_jobs.comparison(folder, base, arms, seeds)
+    left = sum(not job.done for job in jobs)
+    print(f"{folder.root}: {len(jobs)} jobs, {left} of them to do", flush=True)
+    complete = len(_complete(folder, arms, seeds))
+
+    def finished(job: Job) -> None:
+        """Show the result so far whenever one more seed is complete for all arms."""
+        nonlocal complete
+        if len(_complete(folder, arms, seeds)) > complete:
+            complete += 1
+            _conclude(folder, base, arms, seeds, quick)
+
+    status = 0
+    try:
+        run_jobs(jobs, cores(), finished)
+    except FailedError as failed:
+        print(f"error: {failed}", file=sys.stderr)
+        status = failed.status
+    except StoppedError as stopped:
+        print(f"stopped by {stopped}; the same command goes on")
+        status = stopped.status
+    if not left or status:  # else it was shown when the last job finished
+        _conclude(folder, base, arms, seeds, quick)
+    return status
+
+
+def _complete(folder: ComparisonFolder, arms: Arms, seeds: Sequence[int]) -> list[int]:
+    """The seeds for which every arm has its run."""
+    return [seed for seed in seeds if all(folder.run(seed, arm).exists() for arm in arms)]
+
+
+def _conclude(
+    folder: ComparisonFolder, base: Description, arms: Arms, seeds: Sequence[int], quick: bool
+) -> None:
+    """Print and write what the complete seeds show."""
+    complete = _complete(folder, arms, seeds)
+    if not complete:
+        print(f"no seed is complete for all of {', '.join(arms)} yet")
+        return
+    runs = {arm: [Run.read(folder.run(seed, arm)) for seed in complete] for arm in arms}
+    summary = summarise(runs, lambda value: registry.normalised_score(base.env.id, value))
+    label = descriptions.QUICK_LABEL if quick else ""
+    report.write(folder, base, arms, summary, runs, label)
+    of_all = "" if len(complete) == len(seeds) else f" of {len(seeds)}: so far"
+    count = f"{len(complete)} complete {'seed' if len(complete) == 1 else 'seeds'}"
+    print(f"\n{count}{of_all}{f' ({label})' if label else ''}")
+    print("\n".join(tables.text(summary)))
+    print(f"report: {folder.report}\n", flush=True)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        prog="python -m otc_dist.launch compare",
+        description=_EXPLANATION,
+        epilog=f"known arms: {', '.join(arms_of.KNOWN)}",
+        allow_abbrev=False,
+    )
+    parser.add_argument("description", help="a shipped description's name, or a TOML file")
+    parser.add_argument(
+        "--arms",
+        default=",".join(arms_of.USUAL),
+        metavar="NAME,NAME",
+        help=f"arms to compare; {arms_of.REFERENCE} and {arms_of.NULL} are always among them"
+        " (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--arm",
+        action="append",
+        default=[],
+        metavar="NAME=section.key=value,...",
+        help="one more arm of your own, like mild=sampling.name=otc,sampling.alpha=0.5",
+    )
+    parser.add_argument(
+        "--seeds", default="0..9", help="0..9 or 0,1,5 (default: %(default)s; ten for any claim)"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="section.key=value",
+        help="change one value for all arms",
+    )
+    parser.add_argument("--out", type=Path, help="folder (default: runs/compare-NAME)")
+    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
+    return parser

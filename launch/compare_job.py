@@ -1,0 +1,42 @@
+"""`python -m otc_dist.launch.compare_job FOLDER SEED PIECE ...`: one process of a comparison.
+
+offline AGENT                    train pi_0 of one agent
+pi_0                             evaluate the team pi_0
+arm NAME ASSIGNMENT ...          tune and evaluate an arm
+"""
+
+from pathlib import Path
+
+import torch
+
+from otc_dist.comparison import mechanism, runs
+from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.description import Description
+from otc_dist.errors import run_main
+
+from .jobs import Teller
+from .run_record import versions
+
+
+def main(argv: list[str]) -> int:
+    """Do one piece."""
+    torch.set_num_threads(1)
+    path, seed, piece, *rest = argv
+    folder = ComparisonFolder(Path(path))
+    base = Description.load(folder.description)
+    if piece == "offline":
+        runs.train_offline(folder, base, int(seed), rest[0], Teller())
+    elif piece == "pi_0":
+        runs.evaluate_offline(folder, base, int(seed))
+    else:
+        name, *assignments = rest
+        if piece == "arm":
+            runs.run_arm(folder, base, int(seed), name, assignments, versions(), Teller())
+        else:
+            analysed = base.with_assignments(*assignments)
+            mechanism.measure(folder, analysed, int(seed), name, Teller())
+    return 0
+
+
+if __name__ == "__main__":
+    run_main(main)

@@ -1,0 +1,93 @@
+"""`launch mechanism NAME`: do the transitions that OTC selects follow the online dynamics?"""
+
+import argparse
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+
+from otc_dist.comparison import arms as arms_of
+from otc_dist.comparison import mechanism_table
+from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+
+from . import comparison_jobs, descriptions
+from .jobs import FailedError, StoppedError, cores, run_jobs
+from .parser import Parser
+from .resolve import resolve
+
+_EXPLANATION = """\
+Deploys the offline policies once and asks, of the transitions that each distance selects at
+alpha_0: how far are the other agents' recorded actions from what those agents would do now? As a
+ratio to uniform sampling, beside an oracle that sorts by this very mismatch. It needs joint data,
+which only an analysis sees; no learner does. Far less noisy than returns.
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Measure and print. Returns the exit status.
+
+    Raises:
+        UserError: anything the user can mend: one line, status 2.
+    """
+    arguments = _parser().parse_args(argv)
+    seeds = arms_of.parse_seeds(arguments.seeds)
+    quick: bool = arguments.quick
+    started = descriptions.load(arguments.description, (), None, quick)
+    default = Path("runs") / f"compare-{started.name}{'-quick' if quick else ''}"
+    folder = ComparisonFolder((arguments.checkpoints or default).resolve())
+    if folder.description.exists():
+        base = Description.load(folder.description)
+        if base.name != started.name:
+            raise UserError(f"{folder.root} is of {base.name}, not of {started.name}")
+        analysed = base.with_assignments(*arguments.set)
+        if analysed.offline_digest() != base.offline_digest():
+            raise UserError(
+                f"--set would change pi_0, and {folder.root} has its own: leave it out, or use"
+                " another --checkpoints"
+            )
+    else:
+        base = resolve(descriptions.load(arguments.description, arguments.set, None, quick))
+        analysed = base
+    name = analysed.digest()
+    jobs = comparison_jobs.mechanism(folder, base, seeds, name, arguments.set)
+    # A comparison may be at work in the folder: it is ours only if something must be trained.
+    trained = all(job.done for job in jobs[: -len(seeds)])
+    with nullcontext() if trained else comparison_jobs.opened(folder, base):
+        try:
+            run_jobs(jobs, cores(), lambda job: None)
+        except FailedError as failed:
+            print(f"error: {failed}", file=sys.stderr)
+            return failed.status
+        except StoppedError as stopped:
+            print(f"stopped by {stopped}; the same command goes on")
+            return stopped.status
+    if quick:
+        print(descriptions.QUICK_LABEL)
+    found = mechanism_table.read([folder.mechanism(name, seed) for seed in seeds])
+    print("\n".join(found.lines()))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        prog="python -m otc_dist.launch mechanism", description=_EXPLANATION, allow_abbrev=False
+    )
+    parser.add_argument("description", help="a shipped description's name, or a TOML file")
+    parser.add_argument("--seeds", default="0..2", help="0..2 or 0,1,5 (default: %(default)s)")
+    parser.add_argument(
+        "--checkpoints",
+        type=Path,
+        metavar="DIR",
+        help="a comparison's folder: its offline policies are used, and missing ones are trained"
+        " there (default: runs/compare-NAME)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="section.key=value",
+        help="change one value, like sampling.alpha=2",
+    )
+    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
+    return parser

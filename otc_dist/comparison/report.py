@@ -1,0 +1,164 @@
+"""A comparison as a self-contained page, and as JSON for programs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from math import isfinite
+
+import numpy as np
+
+from otc_dist.comparison import tables
+from otc_dist.comparison.arms import REFERENCE, Arms
+from otc_dist.comparison.scores import ComparisonFolder, Run, write_json
+from otc_dist.comparison.statistics import ENOUGH, Summary
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+from otc_dist.report import html
+from otc_dist.report.svg import Reference, Series, line_chart
+
+
+def write(
+    folder: ComparisonFolder,
+    base: Description,
+    arms: Arms,
+    summary: Summary,
+    runs: Mapping[str, Sequence[Run]],
+    label: str = "",
+) -> None:
+    """Write comparison.json and comparison.html. `label` is shown where it is no real result."""
+    facts = {
+        "description": base.digest(),
+        "label": label,
+        "arms": {name: list(assignments) for name, assignments in arms.items()},
+        "method": tables.METHOD,
+        **asdict(summary),
+    }
+    write_json(folder.results, {key: _without_nan(value) for key, value in facts.items()})
+    try:
+        folder.report.write_text(page(base, arms, summary, runs, label), encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write {folder.report}: {error.strerror}") from None
+
+
+def page(
+    base: Description,
+    arms: Arms,
+    summary: Summary,
+    runs: Mapping[str, Sequence[Run]],
+    label: str = "",
+) -> str:
+    """The HTML document."""
+    count = len(summary.seeds)
+    lead = (
+        f"{base.dataset.name}: {count} {'seed' if count == 1 else 'seeds'}"
+        f" ({', '.join(map(str, summary.seeds))}), {summary.episodes} greedy episodes each"
+    )
+    notices = [html.notice(f"This is {label}.", "Sizes are far below a run's.")] if label else []
+    if count < ENOUGH:
+        notices.append(
+            html.notice(f"Fewer than {ENOUGH} seeds.", "The intervals are too narrow; no claim.")
+        )
+    rows = list(tables.difference_rows(summary))
+    parts = [
+        *notices,
+        html.section("Result", f"<p>{summary.conclusion}</p>", html.table(rows[0], rows[1:])),
+        html.section("Returns", _curves(summary), html.note("Bands: ± one standard deviation.")),
+        html.section(
+            f"Paired differences from {REFERENCE}", _differences(summary), html.note(tables.METHOD)
+        ),
+        *(_table(summary, measure) for measure in summary.arms[0].measures),
+        _alpha(runs, summary),
+        html.section("Arms", html.facts((name, ", ".join(a)) for name, a in arms.items())),
+        html.section(
+            "How it was made",
+            html.facts(_versions(runs)),
+            html.details("description.toml", html.preformatted(base.to_toml())),
+        ),
+    ]
+    return html.page(f"Comparison: {base.name}", lead, parts)
+
+
+def _curves(summary: Summary) -> str:
+    series = []
+    for arm in summary.arms:
+        found = arm.measures["return"].deployments
+        series.append(
+            Series(
+                arm.name,
+                list(range(len(found))),
+                [spread.mean for spread in found],
+                [spread.mean - spread.std for spread in found],
+                [spread.mean + spread.std for spread in found],
+            )
+        )
+    return line_chart(
+        series, title="Return of pi_k", x_label="deployment", y_label="return", height=420
+    )
+
+
+def _differences(summary: Summary) -> str:
+    """Two points an arm, with bars: the mean over deployments and the last deployment."""
+    arms = [arm for arm in summary.arms if arm.last]
+    series = []
+    for index, arm in enumerate(arms):
+        assert arm.last and arm.over_deployments
+        found = (arm.over_deployments, arm.last)
+        # Side by side, so that the bars can be seen.
+        shift = 0.06 * (index - (len(arms) - 1) / 2)
+        series.append(
+            Series(
+                arm.name,
+                [1 + shift, 2 + shift],
+                [d.mean for d in found],
+                [d.low for d in found],
+                [d.high for d in found],
+                spread="bars",
+            )
+        )
+    return line_chart(
+        series,
+        title=f"Return minus that of {REFERENCE}",
+        x_label="1: mean over deployments, 2: last deployment",
+        y_label="difference in return",
+        references=[Reference("no difference", 0.0)],
+    )
+
+
+def _table(summary: Summary, measure: str) -> str:
+    rows = list(tables.measure_rows(summary, measure))
+    title = tables.TITLES[measure]
+    return html.section(title[0].upper() + title[1:], html.table(rows[0], rows[1:], sums=1))
+
+
+def _alpha(runs: Mapping[str, Sequence[Run]], summary: Summary) -> str:
+    """Alpha of every agent, mean over seeds, for the arms that have one."""
+    charts = []
+    for name, found in runs.items():
+        mine = [run for run in found if run.seed in summary.seeds and run.alpha]
+        if not mine:
+            continue
+        series = []
+        for agent in mine[0].alpha[0]:
+            values = np.mean([[alpha[agent] for alpha in run.alpha] for run in mine], axis=0)
+            series.append(Series(agent, list(range(1, len(values) + 1)), values.tolist()))
+        charts.append(
+            line_chart(series, title=f"alpha, {name}", x_label="deployment", y_label="alpha")
+        )
+    return html.section("Alpha, mean over seeds", html.pair(*charts)) if charts else ""
+
+
+def _versions(runs: Mapping[str, Sequence[Run]]) -> list[tuple[str, str]]:
+    """Package -> version; several where runs differ."""
+    found: dict[str, set[str]] = {}
+    for run in (run for of_arm in runs.values() for run in of_arm):
+        for package, version in run.versions.items():
+            found.setdefault(package, set()).add(version)
+    return [(package, ", ".join(sorted(versions))) for package, versions in found.items()]
+
+
+def _without_nan(value: object) -> object:
+    """JSON knows no NaN: None stands for it."""
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not isfinite(value) else value

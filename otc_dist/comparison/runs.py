@@ -1,0 +1,143 @@
+"""The pieces of a comparison: offline training of one agent, pi_0's evaluation, one arm's run.
+
+All brains of a run live in one process here. Environment seeds and acting noise are keyed by
+(seed, phase, deployment, step) only, so arms of a seed are judged on the same episodes.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+
+from otc_dist import team
+from otc_dist.comparison.arms import describe, of_seed
+from otc_dist.comparison.scores import ComparisonFolder, Evaluation, Run, read_json, write_json
+from otc_dist.datasets import store
+from otc_dist.description import Description
+from otc_dist.envs import registry
+from otc_dist.errors import UserError
+from otc_dist.learner import Learner, Progress
+
+Tell = Callable[[float, str], None]  # share of the job that is done, and where it stands
+
+
+def train_offline(
+    folder: ComparisonFolder, base: Description, seed: int, agent: str, tell: Tell
+) -> None:
+    """Train pi_0 of one agent and the embedding, from its newest unfinished checkpoint."""
+    files = folder.seed(seed)
+    learner = _learner(of_seed(base, seed), agent)
+    unfinished = files.offline_checkpoint(agent)
+    if unfinished.exists():
+        learner.load(unfinished)
+    offline, embedding = base.offline.updates, base.embedding.updates
+
+    def report(progress: Progress) -> None:
+        before = 0 if progress.phase == "offline" else offline
+        share = (before + progress.update) / max(offline + embedding, 1)
+        tell(share, f"{progress.phase} {progress.update:,} of {progress.updates:,}")
+
+    learner.pretrain(report, lambda: learner.save(unfinished))
+    learner.save(files.checkpoint(agent, 0))
+    unfinished.unlink(missing_ok=True)
+
+
+def evaluate_offline(folder: ComparisonFolder, base: Description, seed: int) -> None:
+    """Evaluate the team pi_0 of a seed, once for all arms."""
+    learners = restored(folder, of_seed(base, seed))
+    write_json(folder.offline(seed), asdict(_evaluate(learners, 0)))
+
+
+def run_arm(
+    folder: ComparisonFolder,
+    base: Description,
+    seed: int,
+    arm: str,
+    assignments: Sequence[str],
+    versions: Mapping[str, str],
+    tell: Tell,
+) -> Run:
+    """Tune an arm through all deployments, from the seed's offline checkpoints.
+
+    Raises:
+        UserError: a checkpoint or pi_0's evaluation is missing, damaged or of other policies.
+    """
+    start = time.monotonic()
+    description = describe(base, assignments, seed)
+    learners = restored(folder, description)
+    first = Evaluation(**read_json(folder.offline(seed)))
+    if first.policies != _digests(learners):
+        raise UserError(f"{folder.offline(seed)} is of other policies; delete it")
+    evaluations, alphas, similarities = [first], [], []
+    count = description.deployment.count
+    for k in range(1, count + 1):
+
+        def tell_of_k(share: float, where: str, k: int = k) -> None:
+            tell((k - 1 + share) / count, f"{where} {k} of {count}")
+
+        measured = _deploy_and_tune(learners, k, tell_of_k)
+        if description.sampling.name == "otc":
+            alphas.append({name: values["alpha"] for name, values in measured.items()})
+            similarities.append({name: values["similarity"] for name, values in measured.items()})
+        evaluations.append(_evaluate(learners, k))
+    run = Run(
+        arm=arm,
+        seed=seed,
+        description=description.digest(),
+        evaluations=evaluations,
+        alpha=alphas,
+        similarity=similarities,
+        assignments=list(assignments),
+        versions=dict(versions),
+        seconds=round(time.monotonic() - start, 1),
+    )
+    run.write(folder.run(seed, arm))
+    return run
+
+
+def restored(folder: ComparisonFolder, description: Description) -> list[Learner]:
+    """All learners of a description, holding pi_0 of its seed. Raises UserError, as `load`."""
+    files = folder.seed(description.seed)
+    learners = []
+    for agent in registry.team_spec(description.env.id).names:
+        learner = _learner(description, agent)
+        learner.load(files.checkpoint(agent, 0))
+        learners.append(learner)
+    return learners
+
+
+def _learner(description: Description, agent: str) -> Learner:
+    spec = registry.team_spec(description.env.id)
+    dataset = description.dataset
+    path = store.agent_file(dataset.name, agent, dataset.transitions)
+    return Learner(description, spec.agents[spec.index(agent)], store.load_agent(path, agent))
+
+
+def _deploy_and_tune(
+    learners: Sequence[Learner], deployment: int, tell: Tell
+) -> dict[str, dict[str, float]]:
+    """Deployment k and the tuning after it: agent -> what Eq. 4 gave before the updates."""
+    measured: dict[str, dict[str, float]] = {}
+    tell(0.0, "deployment")
+    steps = team.deploy(learners, deployment)
+    for index, learner in enumerate(learners):
+        name = learner.spec.name
+
+        def report(progress: Progress, index: int = index, name: str = name) -> None:
+            if progress.update == 0:
+                measured[name] = progress.metrics
+            within = progress.update / max(progress.updates, 1)
+            tell((index + within) / len(learners), f"tuning {name} after deployment")
+
+        learner.tune(deployment, team.own_transitions(steps, index), report)
+    return measured
+
+
+def _evaluate(learners: Sequence[Learner], deployment: int) -> Evaluation:
+    rollout = team.evaluate(learners, deployment)
+    return Evaluation(
+        list(rollout.episode_returns), list(rollout.episode_lengths), _digests(learners)
+    )
+
+
+def _digests(learners: Sequence[Learner]) -> dict[str, str]:
+    return {learner.spec.name: learner.policy_digest() for learner in learners}

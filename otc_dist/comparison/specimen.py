@@ -1,0 +1,102 @@
+"""One agent's frozen policy and embedding, taken from a checkpoint, opened for analysis."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from otc_dist import checkpoint
+from otc_dist.algorithms import create
+from otc_dist.algorithms.draws import Draw, Draws, draw, to_tensors
+from otc_dist.algorithms.interface import State, unpack
+from otc_dist.description import Description
+from otc_dist.embedder import Embedder
+from otc_dist.engine import Engine
+from otc_dist.spec import AgentSpec
+from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
+
+CHUNK = 256  # states acted on at once: 100 candidates each fit into the processor's cache
+VALUE_SAMPLES = 10  # actions that V(s') is the mean of, as in the notes on BCQ
+
+
+class Specimen:
+    """What an agent holds at a checkpoint of offline training, as pure functions of its data.
+
+    Raises:
+        UserError: the checkpoint is missing or damaged.
+    """
+
+    def __init__(self, description: Description, spec: AgentSpec, path: Path) -> None:
+        arrays, _ = checkpoint.read(path)
+        parts: dict[str, dict[str, NDArray[np.generic]]] = {"algorithm": {}, "embedding": {}}
+        for name, array in arrays.items():
+            part, _, key = name.partition(".")
+            parts[part][key] = array
+        self.layout = RowLayout(spec.observation_size, spec.action_size)
+        self.algorithm = create(description.algorithm, spec.observation_size, spec.action_size)
+        engine = Engine("eager")
+        self.state: State = to_tensors(parts["algorithm"], engine.device)
+        self._embedder = Embedder(description.embedding, self.layout, engine)
+        self._embedder.state = to_tensors(parts["embedding"], engine.device)
+        self._embedding_size = description.embedding.size
+        low, high = np.array([spec.action_low, spec.action_high], np.float32)
+        self._centre: Float32 = (low + high) / np.float32(2)
+        self._scale: Float32 = (high - low) / np.float32(2)
+
+    def rows(self, data: Transitions) -> Tensor:
+        """Packed rows (N, width), as in the agent's replay buffer: actions scaled to [-1, 1]."""
+        buffer = ReplayBuffer(self.layout, len(data))
+        buffer.append(data, offline=True)
+        scaled = (buffer.rows[:, self.layout.action] - self._centre) / self._scale
+        buffer.rows[:, self.layout.action] = scaled
+        return torch.from_numpy(buffer.rows)
+
+    def embeddings(self, rows: Tensor) -> Tensor:
+        """mu (N, e) of packed rows."""
+        out = torch.empty(len(rows), self._embedding_size)
+        self._embedder.embed(rows, out)
+        return out
+
+    def recorded(self, rows: Tensor) -> Float32:
+        """The rows' own actions (N, a), in the environment's units."""
+        scaled: Float32 = rows[:, self.layout.action].numpy()
+        return scaled * self._scale + self._centre
+
+    def act(self, rows: Tensor, random: np.random.Generator) -> Float32:
+        """Actions (N, a), in the environment's units, of its policy in the rows' states."""
+
+        def answer(part: Tensor, noise: Draws) -> Tensor:
+            return self.algorithm.act(self.state, unpack(part, self.layout).observation, noise)
+
+        actions = _in_chunks(rows, self.algorithm.acting_noise, random, answer)
+        return actions.numpy() * self._scale + self._centre
+
+    def next_values(self, rows: Tensor, random: np.random.Generator) -> Tensor:
+        """V(s') (N,), 0 at a terminal s'."""
+
+        def value(part: Tensor, noise: Draws) -> Tensor:
+            batch = unpack(part, self.layout)
+            values = self.algorithm.value(self.state, batch.next_observation, noise)
+            return torch.where(batch.terminated > 0, 0.0, values)
+
+        return _in_chunks(
+            rows, lambda count: self.algorithm.value_noise(count, VALUE_SAMPLES), random, value
+        )
+
+
+def _in_chunks(
+    rows: Tensor,
+    wanted: Callable[[int], Mapping[str, Draw]],
+    random: np.random.Generator,
+    function: Callable[[Tensor, Draws], Tensor],
+) -> Tensor:
+    found = []
+    with torch.no_grad():
+        for part in torch.split(rows, CHUNK):
+            noise = draw(random, wanted(len(part)), 1)
+            tensors = to_tensors(noise, part.device)
+            found.append(function(part, {name: array[0] for name, array in tensors.items()}))
+    return torch.cat(found)

@@ -1,0 +1,64 @@
+import pytest
+
+from otc_dist.comparison import arms as arms_of
+from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, describe, parse_arms, parse_seeds
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+
+
+def test_the_reference_and_the_null_arm_are_always_among_the_arms() -> None:
+    assert list(parse_arms("otc-value")) == ["otc-value", REFERENCE, NULL]
+    assert list(parse_arms("uniform,online-only")) == [REFERENCE, "online-only", NULL]
+
+
+def test_an_unknown_arm_is_answered_with_the_nearest() -> None:
+    with pytest.raises(UserError, match="did you mean 'otc-embedding'"):
+        parse_arms("otc-embeding,uniform")
+    with pytest.raises(UserError, match="no arm"):
+        parse_arms(" , ")
+
+
+def test_an_arm_of_ones_own() -> None:
+    found = parse_arms("uniform", ["mild=sampling.name=otc,sampling.alpha=0.5"])
+    assert found["mild"] == ("sampling.name=otc", "sampling.alpha=0.5")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["mild", "mild=", "=sampling.alpha=1", "uniform=sampling.alpha=1", "a/b=sampling.alpha=1"],
+)
+def test_a_bad_arm_of_ones_own_is_refused(text: str) -> None:
+    with pytest.raises(UserError, match="--arm"):
+        parse_arms("uniform", [text])
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [("0..3", (0, 1, 2, 3)), ("5", (5,)), ("0,1,5", (0, 1, 5)), ("0..2,7, 1", (0, 1, 2, 7))],
+)
+def test_seeds(text: str, seeds: tuple[int, ...]) -> None:
+    assert parse_seeds(text) == seeds
+
+
+@pytest.mark.parametrize("text", ["", "a", "3..1", "-1", "0..", "0-4"])
+def test_bad_seeds_are_one_clear_line(text: str) -> None:
+    with pytest.raises(UserError, match=r"write 0\.\.9"):
+        parse_seeds(text)
+
+
+def test_all_known_arms_share_the_offline_policy(base: Description) -> None:
+    arms_of.check(base, KNOWN)
+    digests = {describe(base, a, 3).offline_digest() for a in KNOWN.values()}
+    assert len(digests) == 1
+    assert len({describe(base, a, 3).digest() for a in KNOWN.values()}) == len(KNOWN)
+
+
+def test_an_arm_that_changes_the_offline_policy_is_refused(base: Description) -> None:
+    with pytest.raises(UserError, match="arm greedy: an arm may not change how pi_0 is trained"):
+        arms_of.check(base, {"greedy": ("algorithm.discount=0.5",)})
+
+
+def test_the_null_arm_differs_from_the_reference_by_its_minibatches_only(base: Description) -> None:
+    null = describe(base, KNOWN[NULL], 0).model_dump()
+    reference = describe(base, KNOWN[REFERENCE], 0).model_dump()
+    assert {key for key in null if null[key] != reference[key]} == {"minibatch_key"}

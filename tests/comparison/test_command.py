@@ -1,0 +1,105 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from otc_dist.comparison.arms import Arms
+from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+from otc_dist.launch import compare, comparison_jobs, mechanism
+
+
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [
+        (("--arms", "otc-embeding"), "unknown arm 'otc-embeding'; did you mean 'otc-embedding'"),
+        (("--seeds", "0-9"), r"write 0\.\.9"),
+        (("--set", "evaluation.episodes=10"), "needs evaluation.episodes >= 30, not 10"),
+        (("--set", "deployment.count=0"), "needs deployment.count >= 1"),
+        (("--set", "ofline.updates=1"), "did you mean 'offline"),
+        (("--arm", "x=algorithm.discount=0.5"), "arm x: an arm may not change how pi_0"),
+        (("--sedes", "0"), "unknown flag '--sedes'; did you mean '--seeds'"),
+    ],
+)
+def test_a_mistake_is_one_clear_line(flags: tuple[str, ...], told: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(UserError, match=told) as error:
+        compare.main(["3agent_hopper", "--set", "engine.name=eager", "--out", str(out), *flags])
+    assert "\n" not in str(error.value)
+    assert not out.exists()
+
+
+def test_a_folder_of_another_description_is_refused(base: Description, tmp_path: Path) -> None:
+    folder = ComparisonFolder(tmp_path / "out")
+    with comparison_jobs.opened(folder, base):
+        pass
+    other = base.with_assignments("offline.updates=70")
+    with (
+        pytest.raises(UserError, match=r"begun with offline\.updates = 60, and this is 70"),
+        comparison_jobs.opened(folder, other),
+    ):
+        pass
+    (tmp_path / "thesis.tex").touch()
+    with (
+        pytest.raises(UserError, match="holds something else"),
+        comparison_jobs.opened(ComparisonFolder(tmp_path), base),
+    ):
+        pass
+
+
+def test_a_finished_comparison_is_printed_again(
+    finished: ComparisonFolder,
+    base: Description,
+    arms: Arms,
+    tiny_flags: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    finished.report.unlink(missing_ok=True)
+    flags = ["--arms", "otc-embedding", "--out", str(finished.root), "--quick", *tiny_flags]
+    assert compare.main(["3agent_hopper", "--seeds", "0,1", *flags]) == 0
+    out = capsys.readouterr().out
+    assert ", 0 of them to do" in out
+    assert "2 complete seeds (a quick look, not a result)" in out
+    assert finished.report.exists() and finished.results.exists()
+
+
+def test_the_mechanism_takes_the_offline_policies_of_a_comparison_as_they_are(
+    finished: ComparisonFolder,
+) -> None:
+    with pytest.raises(UserError, match="would change pi_0"):
+        mechanism.main(
+            ["3agent_hopper", "--checkpoints", str(finished.root), "--set", "offline.updates=61"]
+        )
+    with pytest.raises(UserError, match="is of 3agent_hopper, not of 2agent_walker2d"):
+        mechanism.main(["2agent_walker2d", "--checkpoints", str(finished.root)])
+
+
+@pytest.mark.slow
+def test_from_nothing_to_the_report_and_the_mechanism(
+    tmp_path: Path, tiny_flags: tuple[str, ...]
+) -> None:
+    def launch(*arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "otc_dist.launch", *arguments, *tiny_flags],
+            cwd=tmp_path,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    command = ("compare", "3agent_hopper", "--quick", "--arms", "otc-value", "--seeds", "0")
+    out = launch(*command)
+    assert "seed 0, arm otc-value: done" in out and "1 complete seed" in out
+    folder = ComparisonFolder(tmp_path / "runs" / "compare-3agent_hopper-quick")
+    assert json.loads(folder.results.read_text())["seeds"] == [0]
+    before = folder.run(0, "otc-value").read_bytes()
+    again = launch(*command)
+    assert "0 of them to do" in again and folder.run(0, "otc-value").read_bytes() == before
+    found = launch("mechanism", "3agent_hopper", "--quick", "--seeds", "0")
+    assert "oracle: the mismatch itself" in found

@@ -1,0 +1,77 @@
+import os
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from otc_dist.launch.jobs import FailedError, Job, StoppedError, Teller, run_jobs
+
+MAKE = "import sys, pathlib; pathlib.Path(sys.argv[1]).touch()"
+
+
+def job(folder: Path, name: str, code: str = MAKE, needs: tuple[Path, ...] = ()) -> Job:
+    command = (sys.executable, "-c", code, str(folder / name))
+    return Job(name, command, folder / name, folder / f"{name}.log", needs)
+
+
+def test_jobs_run_when_what_they_need_is_there(tmp_path: Path) -> None:
+    first = job(tmp_path, "first")
+    look = "import sys, pathlib; p = pathlib.Path(sys.argv[1]); (p.parent / 'first').rename(p)"
+    finished: list[str] = []
+    run_jobs(
+        [job(tmp_path, "second", look, (first.product,)), first],
+        2,
+        lambda done: finished.append(done.name),
+    )
+    assert finished == ["first", "second"]
+
+
+def test_finished_jobs_are_skipped(tmp_path: Path) -> None:
+    (tmp_path / "old").touch()
+    finished: list[str] = []
+    run_jobs(
+        [job(tmp_path, "old", "raise SystemExit(1)"), job(tmp_path, "new")],
+        1,
+        lambda done: finished.append(done.name),
+    )
+    assert finished == ["new"]
+
+
+@pytest.mark.parametrize(
+    ("code", "status", "told"),
+    [
+        ("raise SystemExit('error: no such thing')", 1, "with status 1: no such thing"),
+        ("import sys; print('error: mend it'); sys.exit(2)", 2, "bad: mend it"),
+        ("import os; os.kill(os.getpid(), 9)", 1, "was killed by SIGKILL"),
+    ],
+)
+def test_a_failure_is_one_line_that_names_the_job(
+    tmp_path: Path, code: str, status: int, told: str
+) -> None:
+    waits = job(tmp_path, "waits", "import signal; signal.pause()")
+    with pytest.raises(FailedError) as failed:
+        run_jobs([waits, job(tmp_path, "bad", code)], 2, lambda done: None)
+    assert failed.value.status == status
+    message = str(failed.value)
+    assert message.startswith("bad: ") and told in message and "\n" not in message
+
+
+def test_an_interrupt_leaves_no_process(tmp_path: Path) -> None:
+    told = tmp_path / "pid"
+    code = f"import os, signal, pathlib; pathlib.Path({str(told)!r}).write_text(str(os.getpid()))"
+    interrupt = job(tmp_path, "interrupt", f"import os; os.kill({os.getpid()}, {signal.SIGINT:d})")
+    waits = job(tmp_path, "waits", f"{code}; open(r'{tmp_path}/up', 'w'); signal.pause()")
+    jobs = [waits, Job(**{**vars(interrupt), "needs": (tmp_path / "up",)})]
+    with pytest.raises(StoppedError, match="SIGINT") as stopped:
+        run_jobs(jobs, 2, lambda done: None)
+    assert stopped.value.status == 130
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(told.read_text()), 0)
+
+
+def test_what_a_job_tells_is_a_share_and_a_place(capsys: pytest.CaptureFixture[str]) -> None:
+    tell = Teller()
+    tell(0.25, "offline 1 of 4")
+    tell(0.5, "offline 2 of 4")  # too soon after the first
+    assert capsys.readouterr().out == "0.2500 offline 1 of 4\n"

@@ -1,0 +1,67 @@
+import json
+import re
+from html.parser import HTMLParser
+
+from otc_dist.comparison import report, tables
+from otc_dist.comparison.arms import Arms
+from otc_dist.comparison.scores import ComparisonFolder, Run
+from otc_dist.comparison.statistics import Summary, summarise
+from otc_dist.description import Description
+from otc_dist.envs import registry
+
+from .conftest import SEEDS
+
+
+def read(
+    folder: ComparisonFolder, arms: Arms, base: Description, *seeds: int
+) -> tuple[Summary, dict[str, list[Run]]]:
+    runs = {arm: [Run.read(folder.run(seed, arm)) for seed in seeds] for arm in arms}
+    return summarise(runs, lambda value: registry.normalised_score(base.env.id, value)), runs
+
+
+def test_the_report_needs_nothing_but_itself(
+    finished: ComparisonFolder, arms: Arms, base: Description
+) -> None:
+    summary, runs = read(finished, arms, base, *SEEDS)
+    report.write(finished, base, arms, summary, runs, "a quick look")
+    page = finished.report.read_text()
+
+    class Links(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            assert tag not in ("script", "link", "img", "iframe")
+            assert not {name for name, _ in attrs} & {"src", "href"}
+
+    Links().feed(page)
+    assert "url(" not in page and "@import" not in page
+    assert page.count("<svg") >= 3  # returns, differences, alpha
+    assert "This is a quick look." in page and "Fewer than 10 seeds." in page
+    for arm in arms:
+        assert arm in page
+
+
+def test_the_json_holds_what_the_tables_show(
+    finished: ComparisonFolder, arms: Arms, base: Description
+) -> None:
+    summary, runs = read(finished, arms, base, 0)
+    report.write(finished, base, arms, summary, runs)
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    found = json.loads(finished.results.read_text(), parse_constant=refuse)
+    assert found["seeds"] == [0] and found["label"] == ""
+    assert [arm["name"] for arm in found["arms"]] == list(arms)
+    first = found["arms"][0]["measures"]["return"]["deployments"][0]
+    assert first["mean"] == summary.arms[0].measures["return"].deployments[0].mean
+    assert first["std"] is None  # one seed
+
+
+def test_the_text_has_a_row_for_every_policy(
+    finished: ComparisonFolder, arms: Arms, base: Description
+) -> None:
+    summary, _ = read(finished, arms, base, *SEEDS)
+    lines = list(tables.text(summary))
+    for k in range(base.deployment.count + 1):
+        assert sum(line.startswith(f"pi_{k} ") for line in lines) == 4  # one a measure
+    assert sum(bool(re.match(r"uniform-null .*\[.*\]", line)) for line in lines) == 1
+    assert lines[-1].strip() == summary.conclusion

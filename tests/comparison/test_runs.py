@@ -1,0 +1,116 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from otc_dist import checkpoint, learner
+from otc_dist.comparison import runs
+from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, Arms, describe
+from otc_dist.comparison.scores import ComparisonFolder, Run
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+
+from .conftest import SEEDS, VERSIONS, silent
+
+
+@pytest.fixture
+def scores(finished: ComparisonFolder, arms: Arms) -> dict[tuple[int, str], Run]:
+    return {(seed, arm): Run.read(finished.run(seed, arm)) for seed in SEEDS for arm in arms}
+
+
+def test_a_file_a_run_holds_all_raw_scores(
+    scores: dict[tuple[int, str], Run], base: Description
+) -> None:
+    for (seed, arm), run in scores.items():
+        assert (run.seed, run.arm) == (seed, arm)
+        assert run.description == describe(base, run.assignments, seed).digest()
+        assert run.versions == VERSIONS and run.seconds > 0
+        assert len(run.evaluations) == base.deployment.count + 1
+        for evaluation in run.evaluations:
+            assert len(evaluation.returns) == len(evaluation.lengths) == base.evaluation.episodes
+            assert set(evaluation.policies) == {"agent_0", "agent_1", "agent_2"}
+        alphas = base.deployment.count if arm == "otc-embedding" else 0
+        assert len(run.alpha) == len(run.similarity) == alphas
+
+
+def test_arms_of_a_seed_share_pi_0_and_seeds_do_not(scores: dict[tuple[int, str], Run]) -> None:
+    firsts = {
+        seed: [r.evaluations[0] for (s, _), r in scores.items() if s == seed] for seed in SEEDS
+    }
+    for first in firsts.values():
+        assert all(evaluation == first[0] for evaluation in first)
+    assert firsts[0][0].policies != firsts[1][0].policies
+
+
+def test_every_arm_tunes_in_its_own_way(scores: dict[tuple[int, str], Run]) -> None:
+    tuned = [run.evaluations[-1].policies["agent_0"] for run in scores.values()]
+    assert len(set(tuned)) == len(tuned)
+
+
+def test_repeating_a_run_reproduces_its_scores(
+    finished: ComparisonFolder,
+    base: Description,
+    scores: dict[tuple[int, str], Run],
+    tmp_path: Path,
+) -> None:
+    again = ComparisonFolder(tmp_path)
+    again.seed(0).root.parent.mkdir()
+    again.seed(0).root.symlink_to(finished.seed(0).root)
+    found = runs.run_arm(again, base, 0, "copy", KNOWN[REFERENCE], VERSIONS, silent)
+    expected = scores[0, REFERENCE]
+    assert replace(found, seconds=expected.seconds, arm=REFERENCE) == expected
+    assert found.evaluations[1] != scores[0, NULL].evaluations[1]
+    finished.run(0, "copy").unlink()
+
+
+def test_interrupted_offline_training_goes_on_to_the_same_policy(
+    base: Description, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    longer = base.with_assignments("offline.updates=230")
+    monkeypatch.setattr(learner, "SAVE_EVERY", 100)
+
+    def interrupt(share: float, where: str) -> None:
+        if where.startswith("offline 200"):
+            raise KeyboardInterrupt
+
+    folders = [ComparisonFolder(tmp_path / name) for name in ("through", "cut")]
+    runs.train_offline(folders[0], longer, 0, "agent_1", silent)
+    with pytest.raises(KeyboardInterrupt):
+        runs.train_offline(folders[1], longer, 0, "agent_1", interrupt)
+    assert folders[1].seed(0).offline_checkpoint("agent_1").exists()
+    seen: list[str] = []
+    runs.train_offline(folders[1], longer, 0, "agent_1", lambda share, where: seen.append(where))
+    assert seen[0] == "offline 200 of 230"  # it had been saved after 100
+    through, cut = (checkpoint.read(f.seed(0).checkpoint("agent_1", 0))[0] for f in folders)
+    assert checkpoint.digest(through) == checkpoint.digest(cut)
+    assert not folders[1].seed(0).offline_checkpoint("agent_1").exists()
+
+
+def test_a_finished_run_is_known_by_its_description(
+    finished: ComparisonFolder, base: Description
+) -> None:
+    digest = describe(base, KNOWN[REFERENCE], 0).digest()
+    assert finished.finished(0, REFERENCE, digest) is not None
+    assert finished.finished(0, "otc-value", digest) is None
+    with pytest.raises(UserError, match="of another description"):
+        finished.finished(0, REFERENCE, "0" * 16)
+
+
+def test_scores_of_other_policies_are_refused(
+    finished: ComparisonFolder, base: Description, tmp_path: Path
+) -> None:
+    mixed = ComparisonFolder(tmp_path)
+    mixed.seed(0).root.mkdir(parents=True)
+    mixed.seed(0).agent("").symlink_to(finished.seed(0).agent(""))
+    mixed.offline(0).write_text(finished.offline(1).read_text())
+    with pytest.raises(UserError, match="of other policies"):
+        runs.run_arm(mixed, base, 0, "uniform", KNOWN[REFERENCE], VERSIONS, silent)
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", json.dumps({"arm": "uniform"})])
+def test_a_damaged_file_is_one_clear_line(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "uniform.json"
+    path.write_text(content)
+    with pytest.raises(UserError, match=r"uniform\.json"):
+        Run.read(path)
