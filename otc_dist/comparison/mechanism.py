@@ -34,11 +34,13 @@ MINIBATCHES = 200
 
 
 @dataclass(frozen=True)
-class Ratios:
-    """Of one row and one agent, to uniform sampling from B_1."""
+class Selected:
+    """What one way of selecting gave one agent, as ratios to uniform sampling from B_1."""
 
     mismatch: float  # of |a_-i - pi_-i(s)|
+    offline: float  # the same of B_0's transitions alone, to uniform sampling from B_0
     value: float  # of V(s')
+    online: float  # no ratio: the share of D_1's own transitions, which match themselves
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,14 @@ class Pool:
     size: int  # rows before D_1's
     mismatch: Tensor  # (N,) l2 distance over all other agents' action components
     value: Tensor  # (N,) V(s')
+    online: Tensor  # (N,) whether it is D_1's
+
+    def means(self, rows: Tensor) -> Float64:
+        """Of `rows`: mismatch, mismatch of B_0's among them, V(s'), and the share of D_1's."""
+        mismatch, online = self.mismatch[rows], self.online[rows]
+        offline = mismatch[~online]
+        parts = (mismatch, offline, self.value[rows], online.float())
+        return np.array([float(part.mean()) for part in parts])
 
 
 Distances = Callable[[Draws], Tensor]  # of the candidates (B,) of one minibatch
@@ -66,25 +76,22 @@ def measure(folder: ComparisonFolder, base: Description, seed: int, name: str, t
     files = folder.seed(seed)
     specimens = [Specimen(description, a, files.checkpoint(a.name, 0)) for a in spec.agents]
     pools = _pools(folder, description, specimens, tell)
-    found: dict[str, dict[str, Ratios]] = {row: {} for row in ROWS}
+    found: dict[str, dict[str, Selected]] = {row: {} for row in ROWS}
     for index, (agent, specimen, pool) in enumerate(zip(spec.names, specimens, pools, strict=True)):
         tell(0.5 + 0.5 * index / len(pools), f"minibatches of {agent}")
-        for row, ratio in _ratios(description, specimen, pool, agent).items():
-            found[row][agent] = ratio
+        for row, selected in _selected(description, specimen, pool, agent).items():
+            found[row][agent] = selected
     write_json(
         folder.mechanism(name, seed),
         {
             "seed": seed,
             "pool": pools[0].size,
             "minibatches": MINIBATCHES,
-            "uniform": {
-                agent: {
-                    "mismatch": float(pool.mismatch[: pool.size].mean()),
-                    "value": float(pool.value[: pool.size].mean()),
-                }
+            "uniform_mismatch": {
+                agent: float(pool.mismatch[: pool.size].mean())
                 for agent, pool in zip(spec.names, pools, strict=True)
             },
-            "ratios": {row: {a: asdict(r) for a, r in of.items()} for row, of in found.items()},
+            "selected": {row: {a: asdict(s) for a, s in of.items()} for row, of in found.items()},
             "seconds": round(time.monotonic() - start, 1),
         },
     )
@@ -104,6 +111,8 @@ def _pools(
     count = len(joint) + description.deployment.transitions
     size = min(POOL, count)
     chosen = stream(seed, "mechanism", "pool").choice(count, size, replace=False)
+    is_online = torch.ones(size + description.deployment.transitions, dtype=torch.bool)
+    is_online[:size] = torch.from_numpy(chosen >= len(joint))
     rows = []
     for index, specimen in enumerate(specimens):
         newest = team.own_transitions(online, index)
@@ -120,13 +129,14 @@ def _pools(
         others = np.concatenate([gap for j, gap in enumerate(gaps) if j != index], axis=1)
         mismatch = torch.from_numpy(np.linalg.norm(others, axis=1))
         value = specimen.next_values(mine, stream(seed, "mechanism", "value", index))
-        pools.append(Pool(Data(mine, specimen.embeddings(mine)), size, mismatch, value))
+        data = Data(mine, specimen.embeddings(mine))
+        pools.append(Pool(data, size, mismatch, value, is_online))
     return pools
 
 
-def _ratios(
+def _selected(
     description: Description, specimen: Specimen, pool: Pool, agent: str
-) -> dict[str, Ratios]:
+) -> dict[str, Selected]:
     """All rows of one agent, on the same minibatches."""
     sampling, batch = description.sampling, description.algorithm.batch_size
     ways = _ways(description, specimen, pool)
@@ -136,7 +146,7 @@ def _ratios(
     }
     alpha = torch.tensor(sampling.alpha, dtype=torch.float32)
     newest = np.arange(pool.size, len(pool.mismatch))
-    sums = {row: np.zeros(2) for row in ways}
+    sums = {row: np.zeros(4) for row in ways}
     for number in range(MINIBATCHES):
         random = stream(description.seed, "mechanism", agent, number)
         count = min(sampling.references, len(newest))
@@ -155,16 +165,12 @@ def _ratios(
                     batch,
                     with_replacement=sampling.with_replacement,
                 )
-            rows = draws["candidates"][positions]
-            sums[row] += (float(pool.mismatch[rows].mean()), float(pool.value[rows].mean()))
-    uniform = _means(pool, slice(0, pool.size))
+            sums[row] += pool.means(draws["candidates"][positions])
+    uniform = pool.means(torch.arange(pool.size))
+    uniform[-1] = 1.0  # the share of D_1's transitions is told as it is
     means = {row: total / MINIBATCHES for row, total in sums.items()}
-    means[ONLINE] = _means(pool, slice(pool.size, None))
-    return {row: Ratios(*(mean / uniform).tolist()) for row, mean in means.items()}
-
-
-def _means(pool: Pool, rows: slice) -> Float64:
-    return np.array([float(pool.mismatch[rows].mean()), float(pool.value[rows].mean())])
+    means[ONLINE] = pool.means(torch.from_numpy(newest))
+    return {row: Selected(*(mean / uniform).tolist()) for row, mean in means.items()}
 
 
 def _ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, Distances]:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -36,23 +35,38 @@ class Estimate:
     error: float
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> "Estimate":
+    def of(cls, values: Sequence[float | None]) -> "Estimate":
+        """None counts as NaN."""
         array = np.asarray(values, np.float64)
         many = len(array) > 1
         error = float(array.std(ddof=1)) / math.sqrt(len(array)) if many else math.nan
         return cls(float(array.mean()), error)
 
     def __str__(self) -> str:
+        if math.isnan(self.mean):
+            return "-"
         return f"{self.mean:.3f}" + ("" if math.isnan(self.error) else f" ± {self.error:.3f}")
 
 
 @dataclass(frozen=True)
 class Row:
-    """One way of selecting: its ratios to uniform sampling from B_1."""
+    """One way of selecting, over seeds and agents. Ratios are to uniform sampling."""
 
     name: str
-    mismatch: Estimate  # of |a_-i - pi_-i(s)|
+    mismatch: Estimate  # of |a_-i - pi_-i(s)|, B_1
+    offline: Estimate  # the same of B_0's transitions alone
     value: Estimate  # of V(s')
+    online: Estimate  # the share of D_1's own transitions
+
+    @classmethod
+    def of(cls, name: str, found: Sequence[Mapping[str, float | None]]) -> "Row":
+        """From what every seed and agent gave."""
+        measures = ("mismatch", "offline", "value", "online")
+        return cls(name, *(Estimate.of([one[measure] for one in found]) for measure in measures))
+
+    def cells(self) -> list[str]:
+        """For a table."""
+        return [self.name, *map(str, (self.mismatch, self.offline, self.value, self.online))]
 
 
 @dataclass(frozen=True)
@@ -73,39 +87,28 @@ class Mechanism:
             f" {self.minibatches} minibatches each, from a random {self.pool:,} rows of B_1"
         )
         yield f"|a_-i - pi_-i(s)| under uniform sampling: {self.uniform_mismatch}"
-        yield "ratios to uniform sampling (mismatch below 1: nearer to the online dynamics)"
-        yield from aligned(
-            [
-                ["selected by", "mismatch", "V(s')"],
-                *([row.name, str(row.mismatch), str(row.value)] for row in self.rows),
-            ]
-        )
+        yield "ratios to uniform sampling (mismatch below 1: nearer to the online dynamics);"
+        yield "D_1's own transitions match themselves, so those of B_0 are also told apart"
+        head = ["selected by", "mismatch", "mismatch in B_0", "V(s')", "share of D_1"]
+        rows = [
+            [r.name, str(r.mismatch), str(r.offline), str(r.value), str(r.online)]
+            for r in self.rows
+        ]
+        yield from aligned([head, *rows])
 
 
 def read(paths: Sequence[Path]) -> Mechanism:
     """Combine the files of some seeds. Raises UserError if one is damaged."""
     files = [read_json(path) for path in paths]
     try:
-        agents = list(files[0]["uniform"])
-        uniform = [file["uniform"][agent]["mismatch"] for file in files for agent in agents]
-        rows = [_row(name, files, agents) for name in ROWS]
+        uniform = [value for file in files for value in file["uniform_mismatch"].values()]
+        rows = [
+            Row.of(name, [one for file in files for one in file["selected"][name].values()])
+            for name in ROWS
+        ]
         first = files[0]
-        return Mechanism(
-            len(files),
-            len(agents),
-            first["pool"],
-            first["minibatches"],
-            rows,
-            Estimate.of(uniform),
-        )
-    except (KeyError, TypeError) as error:
+        agents = len(first["uniform_mismatch"])
+        pool, minibatches = first["pool"], first["minibatches"]
+        return Mechanism(len(files), agents, pool, minibatches, rows, Estimate.of(uniform))
+    except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"a file in {paths[0].parent} is damaged ({error}); delete it") from None
-
-
-def _row(name: str, files: Sequence[Mapping[str, Any]], agents: Sequence[str]) -> Row:
-    found = [file["ratios"][name][agent] for file in files for agent in agents]
-    return Row(
-        name,
-        Estimate.of([ratios["mismatch"] for ratios in found]),
-        Estimate.of([ratios["value"] for ratios in found]),
-    )

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from math import isfinite
 
 import numpy as np
 
@@ -32,7 +31,7 @@ def write(
         "method": tables.METHOD,
         **asdict(summary),
     }
-    write_json(folder.results, {key: _without_nan(value) for key, value in facts.items()})
+    write_json(folder.results, facts)
     try:
         folder.report.write_text(page(base, arms, summary, runs, label), encoding="utf-8")
     except OSError as error:
@@ -153,12 +152,3 @@ def _versions(runs: Mapping[str, Sequence[Run]]) -> list[tuple[str, str]]:
         for package, version in run.versions.items():
             found.setdefault(package, set()).add(version)
     return [(package, ", ".join(sorted(versions))) for package, versions in found.items()]
-
-
-def _without_nan(value: object) -> object:
-    """JSON knows no NaN: None stands for it."""
-    if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(item) for item in value]
-    return None if isinstance(value, float) and not isfinite(value) else value

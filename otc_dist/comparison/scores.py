@@ -3,7 +3,9 @@
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from math import isfinite
 from pathlib import Path
 from typing import Any, Self
 
@@ -110,17 +112,28 @@ class ComparisonFolder:
 
 
 def write_json(path: Path, fields: Mapping[str, Any]) -> None:
-    """Replace `path` in one step. Raises UserError if it cannot be written."""
+    """Replace `path` in one step; null stands for NaN. Raises UserError if it cannot be written."""
     unfinished = path.with_name(path.name + ".partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with unfinished.open("w", encoding="utf-8") as file:
-            file.write(json.dumps(fields, indent=1) + "\n")
+            file.write(json.dumps(_without_nan(fields), indent=1) + "\n")
             file.flush()
             os.fsync(file.fileno())
         unfinished.replace(path)
     except OSError as error:
+        with suppress(OSError):
+            unfinished.unlink()
         raise UserError(f"cannot write {path}: {error.strerror}") from None
+
+
+def _without_nan(value: object) -> object:
+    """JSON knows no NaN: None stands for it."""
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -30,6 +30,17 @@ def test_the_oracle_selects_less_mismatch_and_the_null_row_as_much(measured: Mec
         assert rows[ORACLE].mismatch.mean <= rows[name].mismatch.mean or name == ONLINE
 
 
+def test_the_shares_of_the_newest_data_are_told_apart(measured: Mechanism) -> None:
+    """D_1 holds 80 of the 1,280 rows of B_1."""
+    rows = {row.name: row for row in measured.rows}
+    assert rows[UNIFORM].online.mean == pytest.approx(80 / 1280, abs=0.02)
+    assert rows[ONLINE].online.mean == 1
+    assert math.isnan(rows[ONLINE].offline.mean)  # none of its rows is B_0's
+    assert rows["d_e"].online.mean > 0.1  # they match themselves
+    assert rows[UNIFORM].offline.mean == pytest.approx(1, abs=0.03)
+    assert rows[ORACLE].offline.mean < 0.95
+
+
 def test_what_was_just_deployed_matches_the_policies_best(measured: Mechanism) -> None:
     """Recorded actions in D_1 are the policies' own, up to the noise of decoding."""
     online = next(row for row in measured.rows if row.name == ONLINE)
