@@ -16,17 +16,16 @@ def closing_lines(folder: RunFolder) -> Iterator[str]:
     if table:
         offline, last = table[0], table[-1]
         yield f"return, mean of {offline['returns']['count']} greedy episodes: " + _change(
-            offline["returns"], last["returns"], last["deployment"]
+            offline["returns"]["mean"], last["returns"]["mean"], last["deployment"]
         )
-        if offline["score"] and last["score"]:
+        if offline["score"] is not None and last["score"] is not None:
             yield "normalised score: " + _change(
                 offline["score"], last["score"], last["deployment"]
             )
     yield f"report: {folder.report}"
 
 
-def _change(offline: Mapping[str, float], last: Mapping[str, float], deployments: int) -> str:
-    before, after = f"{offline['mean']:.1f}", f"{last['mean']:.1f}"
+def _change(offline: float, last: float, deployments: int) -> str:
     if deployments == 0:
-        return f"offline {before}"
-    return f"offline {before}, after deployment {deployments} {after}"
+        return f"offline {offline:.1f}"
+    return f"offline {offline:.1f}, after deployment {deployments} {last:.1f}"

@@ -8,6 +8,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from otc_dist.bus.keys import HOST
+from otc_dist.bus.messages import Status
+
 from . import forecast
 from .board import Board, place
 
@@ -84,14 +87,15 @@ class TableView:
         table.add_column("phase")
         for name in ("done", "of", "rate /s", "return", "alpha", "𝔻"):
             table.add_column(name, justify="right")
-        for process, status in board.newest.items():
-            measures = board.measures[process]
+        for process in (HOST, *board.agents):
+            status = board.newest.get(process, Status(process))
+            measures = board.measures.get(process, {})
             table.add_row(
                 process,
                 place(status),
-                f"{status.update:,}",
-                f"{status.total:,}",
-                f"{status.rate:,.0f}",
+                f"{status.update:,}" if status.total else "",
+                f"{status.total:,}" if status.total else "",
+                f"{status.rate:,.0f}" if status.total else "",
                 *(
                     format(measures[name], style) if name in measures else ""
                     for name, style in (("return", ".1f"), ("alpha", ".3f"), ("similarity", ".3f"))

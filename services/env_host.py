@@ -99,16 +99,15 @@ class EnvHost:
             self._step = rollout.step
         env.close()
         mean = sum(rollout.episode_returns) / episodes
-        scores = [registry.normalised_score(env_id, r) for r in rollout.episode_returns]
         result = {
-            "deployment": k,
+            "evaluation": k,
             "env": env_id,
             "policies": policies,
             "seeds": seeds,
             "returns": list(rollout.episode_returns),
             "lengths": list(rollout.episode_lengths),
             "mean_return": mean,
-            "normalised_scores": [] if None in scores else scores,
+            "normalised_score": registry.normalised_score(env_id, mean),
         }
         with _recording(path, "the evaluation is played again"):
             write_atomically(path, json.dumps(result, indent=1) + "\n")

@@ -159,7 +159,7 @@ def test_dry_run_prints_the_plan_and_starts_nothing(
         "otc/3agent_hopper-seed0/agent_1/observation",
         "100 transitions an agent",
         "agent_2/observation",
-        "60,000 offline updates",
+        "100,000 offline updates",
         "10 deployments of 4 transitions",  # 1% of 100 is 1: rounded up to the copies
     ):
         assert wanted in printed

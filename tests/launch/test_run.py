@@ -57,10 +57,17 @@ def same(folder: RunFolder, reference: RunFolder) -> None:
 def test_a_run_ends_with_results_and_nothing_left(finished: tuple[RunFolder, Launcher]) -> None:
     folder, launcher = finished
     assert RunRecord.read(folder).state == "finished"
-    assert json.loads(folder.results.read_text())
+    results = json.loads(folder.results.read_text())
+    assert results["complete"] and results["missing"] == []
+    assert [row["deployment"] for row in results["table"]] == [0, 1, 2]
     assert "</html>" in folder.report.read_text()
     assert processes_of(folder.root) == {}
-    for said in ("agent_1: offline", "agent_2: tuning after deployment 2", "alpha", "host: "):
+    for said in (
+        "agent_1: offline",
+        "agent_2: tuning after deployment 2",
+        "alpha",
+        "return, mean of",
+    ):
         assert said in launcher.text
     assert str(folder.report) in launcher.lines[-1]
 

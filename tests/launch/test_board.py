@@ -1,0 +1,73 @@
+"""What the launcher makes of statuses: events, who is waited for, and the time to go."""
+
+import pytest
+
+from otc_dist.bus.messages import Status
+from otc_dist.launch import descriptions, forecast
+from otc_dist.launch.board import Board
+from otc_dist.launch.forecast import Part, Remaining
+from otc_dist.launch.resolve import resolve
+
+RUN = [Part("offline", 0, 100.0), Part("deployment", 1, 10.0), Part("tuning", 1, 90.0)]
+
+
+def board() -> Board:
+    return Board(("agent_0", "agent_1"), Remaining(RUN))
+
+
+def status(
+    process: str, phase: str, deployment: int = 0, update: int = 0, **metrics: float
+) -> Status:
+    return Status(process, phase, deployment, update, 100, 5.0, metrics)
+
+
+def test_an_event_is_told_once() -> None:
+    seen = board()
+    for update in (0, 10, 20):
+        seen.take(status("agent_0", "offline", update=update), clock=float(update))
+    assert seen.drain_events() == ["agent_0: offline"]
+    assert seen.drain_events() == []
+
+
+def test_alpha_and_returns_are_events_when_they_change() -> None:
+    seen = board()
+    for _ in range(2):
+        seen.take(status("agent_0", "tuning", 1, alpha=1.25, similarity=0.5), clock=0.0)
+        seen.take(status("host", "evaluation", 1, **{"return": 12.34}), clock=0.0)
+    assert seen.drain_events() == [
+        "agent_0: tuning after deployment 1",
+        "agent_0: alpha 1.250, 𝔻 0.500",
+        "host: evaluation, policy 1",
+        "host: return 12.3",
+    ]
+
+
+def test_the_time_to_go_is_that_of_the_slowest_agent() -> None:
+    seen = board()
+    seen.take(status("agent_0", "offline", update=50), clock=0.0)
+    assert seen.seconds_left is None  # nothing is known of agent_1
+    seen.take(status("agent_1", "offline", update=10), clock=0.0)
+    assert seen.seconds_left == pytest.approx(190.0)
+
+
+def test_the_time_to_go_follows_what_the_machine_does() -> None:
+    remaining = Remaining(RUN)
+    assert remaining.seconds("offline", 0, 0.0, clock=50.0) == pytest.approx(200.0)
+    # 200 s have brought what the table says takes 100: the other 100 take 200, nearly.
+    left = remaining.seconds("deployment", 1, 0.0, clock=250.0)
+    assert 180.0 < left < 200.0
+
+
+def test_a_plan_s_parts_cover_the_run_in_order() -> None:
+    description = resolve(descriptions.load("3agent_hopper", ["engine.name=eager"], None, True))
+    names = [(part.phase, part.deployment) for part in forecast.parts(description, 3)]
+    assert names == [
+        ("start", 0), ("offline", 0), ("embedding", 0), ("evaluation", 0),
+        ("deployment", 1), ("tuning", 1), ("evaluation", 1),
+        ("deployment", 2), ("tuning", 2), ("evaluation", 2),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("seconds", "shown"), [(0, "0:00"), (65, "1:05"), (3725.4, "1:02:05")])
+def test_durations(seconds: float, shown: str) -> None:
+    assert forecast.duration(seconds) == shown
