@@ -12,7 +12,7 @@ Everything random is keyed by (seed, agent, purpose, deployment, step or block o
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -139,7 +139,7 @@ class Learner:
                 lambda done, metrics: report(Progress("embedding", 0, done, total, metrics)),
             )
             self._embed(0, self._buffer.size)
-        self.tuned = 0
+        self.tuned = max(self.tuned, 0)
 
     def act(
         self,
@@ -249,9 +249,10 @@ class Learner:
     def _append(self, data: Transitions, *, offline: bool) -> None:
         """Merge transitions, with actions scaled to [-1, 1], and embed them if d_e is ready."""
         start = self._buffer.size
-        actions = (data.actions - self._action_centre) / self._action_scale
-        self._buffer.append(replace(data, actions=actions), offline=offline)
+        self._buffer.append(data, offline=offline)
         end = self._buffer.size
+        actions = self._buffer.rows[start:end, self._layout.action]
+        actions[:] = (actions - self._action_centre) / self._action_scale
         if self._engine.device.type != "cpu":  # on the CPU both are the same memory
             self._data.rows[start:end] = torch.from_numpy(self._buffer.rows[start:end])
         self._embed(start, end)

@@ -1,0 +1,169 @@
+"""The description: TOML in and out, every mistake one line that helps, digests."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+
+MINIMAL = 'name = "x"\n[env]\nid = "hopper-3x1"\n[dataset]\nname = "hopper-3x1/medium"\n'
+
+
+def minimal(*assignments: str) -> Description:
+    return Description.build(tomllib.loads(MINIMAL), assignments)
+
+
+def test_round_trip_through_toml(tmp_path: Path) -> None:
+    changed = minimal(
+        'summary="quotes \\" and\\nnewlines, é"',
+        "algorithm.hidden=[32, 16, 8]",
+        "algorithm.actor_learning_rate=3e-4",
+        "sampling.adaptive=false",
+        "seed=17",
+    )
+    for description in (minimal(), changed):
+        path = tmp_path / "description.toml"
+        path.write_text(description.to_toml(), encoding="utf-8")
+        again = Description.load(path)
+        assert again == description
+        assert again.digest() == description.digest()
+        assert again.to_toml() == description.to_toml()
+    assert changed.algorithm.hidden == (32, 16, 8)
+
+
+def test_the_papers_numbers_are_the_defaults() -> None:
+    """Table 3 and the text, for BCQ."""
+    d = minimal()
+    assert (d.sampling.candidates, d.sampling.references, d.algorithm.batch_size) == (
+        512,
+        2000,
+        128,
+    )
+    assert (d.algorithm.discount, d.algorithm.hidden, d.embedding.size) == (0.99, (64, 64), 10)
+    assert (d.algorithm.actor_learning_rate, d.algorithm.critic_learning_rate) == (1e-4, 1e-4)
+    assert (d.deployment.count, d.deployment.updates, d.deployment.fraction) == (10, 4000, 0.01)
+    assert (d.sampling.alpha, d.sampling.adaptive, d.sampling.matching) == (1.0, True, "minibatch")
+
+
+def test_assignments_reach_sections_and_keep_the_rest() -> None:
+    description = minimal("sampling.distance=value", "sampling.alpha = 0.5", "name=y z")
+    assert description.sampling.distance == "value"
+    assert description.sampling.alpha == 0.5
+    assert description.name == "y z"
+    more = description.with_assignments("sampling.alpha=2", "env.copies=8")
+    assert (more.sampling.alpha, more.sampling.distance, more.env.copies) == (2, "value", 8)
+    assert description.sampling.alpha == 0.5
+
+
+MISTAKES = {
+    "sampling.aplha=1": "unknown key 'sampling.aplha'; did you mean 'sampling.alpha'?",
+    "samplings.alpha=1": "unknown key 'samplings'; did you mean 'sampling'?",
+    "sampling.distance=valeu": "unknown sampling.distance 'valeu'; did you mean 'value'?",
+    "sampling.name=onlineonly": "did you mean 'online-only'?",
+    "engine.name=cuda": "did you mean 'cuda-graph'?",
+    "algorithm.name=dqn": "unknown algorithm.name 'dqn'; known: bcq",
+    "sampling.alpha=-1": "sampling.alpha: input should be greater than or equal to 0, not -1",
+    "sampling.alpha=nan": "sampling.alpha: input should be a finite number, not nan",
+    "algorithm.critic_learning_rate=inf": "should be a finite number",
+    "sampling.alpha=much": "sampling.alpha: input should be a valid number",
+    "seed=1.5": "seed: input should be a valid integer",
+    "seed=-1": "seed: input should be greater than or equal to 0, not -1",
+    "algorithm.hidden=[64, 0]": "algorithm.hidden.1: input should be greater than 0, not 0",
+    "algorithm.batch_size=513": "must not exceed sampling.candidates (512)",
+    "sampling=3": "sampling: input should be a valid dictionary",
+    "name.first=1": "'name' is a value, not a section",
+    "sampling.alpha": "write section.key=value, like sampling.alpha=0.5",
+    "=3": "write section.key=value",
+    "": "write section.key=value",
+    "..=1": "write section.key=value",
+}
+
+
+@pytest.mark.parametrize(("assignment", "expected"), MISTAKES.items())
+def test_a_mistake_is_one_line_that_helps(assignment: str, expected: str) -> None:
+    with pytest.raises(UserError) as caught:
+        minimal(assignment)
+    message = str(caught.value)
+    assert expected in message
+    assert "\n" not in message and len(message) < 400
+
+
+def test_any_batch_size_without_otc() -> None:
+    assert (
+        minimal("algorithm.batch_size=4096", "sampling.name=uniform").algorithm.batch_size == 4096
+    )
+
+
+FILES = {
+    b"name = ": "is not valid TOML",
+    b"\xff\xfe": "is not valid TOML",
+    b'name = "x"\n[dataset]\nname = "y"\n': "env is missing; every description needs it",
+    b"[env]\n[dataset]\n": "name is missing; every description needs it",
+    MINIMAL.encode() + b"[evn]\n": "unknown key 'evn'; did you mean 'env'?",
+}
+
+
+@pytest.mark.parametrize(("content", "expected"), FILES.items())
+def test_a_bad_file_is_named_in_one_line(content: bytes, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(UserError) as caught:
+        Description.load(path)
+    assert expected in str(caught.value) and str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["absent.toml", "."])
+def test_a_file_that_cannot_be_read_is_named(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="cannot read the description"):
+        Description.load(tmp_path / name)
+
+
+def leaves(value: object, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    if isinstance(value, dict):
+        return [leaf for key, part in value.items() for leaf in leaves(part, (*path, key))]
+    return [path]
+
+
+OTHER = {
+    "name": "other",
+    "summary": "other",
+    "env.id": "walker2d-2x3",
+    "dataset.name": "other",
+    "algorithm.name": None,  # there is one
+    "algorithm.hidden": [3],
+    "sampling.name": "uniform",
+    "sampling.distance": "value",
+    "sampling.matching": "exact",
+    "sampling.normaliser": "paper",
+    "engine.name": "eager",
+    "embedding.hidden": [3],
+}
+OFFLINE = ("seed", "env.id", "dataset", "algorithm", "embedding", "offline", "engine")
+
+
+@pytest.mark.parametrize("path", [".".join(p) for p in leaves(minimal().model_dump())])
+def test_digests_depend_on_every_setting_and_the_offline_one_on_its_own(path: str) -> None:
+    before = minimal().with_assignments()
+    value: object = before.model_dump(mode="json")
+    for key in path.split("."):
+        assert isinstance(value, dict)
+        value = value[key]
+    if path in OTHER:
+        value = OTHER[path]
+    elif isinstance(value, bool):
+        value = not value
+    elif isinstance(value, int | float):
+        value = value + 1 if value != 0.99 and value != 0.75 else value / 2
+    if value is None or path == "algorithm.target_rate" or path == "deployment.fraction":
+        value = {"algorithm.target_rate": 0.5, "deployment.fraction": 0.5}.get(path, "bcq")
+    after = before.with_assignments(f"{path}={json.dumps(value)}")
+    if after == before:
+        assert path == "algorithm.name"
+        return
+    assert after.digest() != before.digest()
+    offline = path.startswith(OFFLINE)
+    assert (after.offline_digest() != before.offline_digest()) is offline
