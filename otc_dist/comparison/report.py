@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from html import escape
 
 import numpy as np
 
@@ -56,15 +57,16 @@ def page(
         notices.append(
             html.notice(f"Fewer than {ENOUGH} seeds.", "The intervals are too narrow; no claim.")
         )
+    conclusion = f"<p>{escape(summary.conclusion)}</p>"
     rows = list(tables.difference_rows(summary))
     parts = [
         *notices,
-        html.section("Result", f"<p>{summary.conclusion}</p>", html.table(rows[0], rows[1:])),
+        html.section("Result", conclusion, html.table(rows[0], rows[1:])),
         html.section("Returns", _curves(summary), html.note("Bands: ± one standard deviation.")),
         html.section(
             f"Paired differences from {REFERENCE}", _differences(summary), html.note(tables.METHOD)
         ),
-        *(_table(summary, measure) for measure in summary.arms[0].measures),
+        *(_table(summary, measure) for measure in tables.measures(summary)),
         _alpha(runs, summary),
         html.section("Arms", html.facts((name, ", ".join(a)) for name, a in arms.items())),
         html.section(
@@ -95,18 +97,17 @@ def _curves(summary: Summary) -> str:
 
 
 def _differences(summary: Summary) -> str:
-    """Two points an arm, with bars: the mean over deployments and the last deployment."""
-    arms = [arm for arm in summary.arms if arm.last]
+    """Of every arm at every deployment, with intervals."""
+    arms = [arm for arm in summary.arms if arm.differences]
     series = []
     for index, arm in enumerate(arms):
-        assert arm.last and arm.over_deployments
-        found = (arm.over_deployments, arm.last)
+        found = arm.differences
         # Side by side, so that the bars can be seen.
-        shift = 0.06 * (index - (len(arms) - 1) / 2)
+        shift = 0.12 * (index - (len(arms) - 1) / 2)
         series.append(
             Series(
                 arm.name,
-                [1 + shift, 2 + shift],
+                [k + shift for k in range(1, len(found) + 1)],
                 [d.mean for d in found],
                 [d.low for d in found],
                 [d.high for d in found],
@@ -116,7 +117,7 @@ def _differences(summary: Summary) -> str:
     return line_chart(
         series,
         title=f"Return minus that of {REFERENCE}",
-        x_label="1: mean over deployments, 2: last deployment",
+        x_label="deployment",
         y_label="difference in return",
         references=[Reference("no difference", 0.0)],
     )

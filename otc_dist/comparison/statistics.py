@@ -68,8 +68,14 @@ class Arm:
 
     name: str
     measures: dict[str, Measure]
-    last: Difference | None  # returns at the last deployment minus the reference's
-    over_deployments: Difference | None  # the mean over deployments 1..K minus the reference's
+    # Returns minus the reference's; of the reference itself, empty and None.
+    differences: list[Difference]  # at deployments 1..K
+    over_deployments: Difference | None  # of the mean over deployments 1..K
+
+    @property
+    def last(self) -> Difference | None:
+        """At the last deployment."""
+        return self.differences[-1] if self.differences else None
 
 
 @dataclass(frozen=True)
@@ -120,15 +126,15 @@ def summarise(runs: Mapping[str, Sequence[Run]], normalise: Normalise) -> Summar
         for name, found in runs.items()
     }
     reference = returns[REFERENCE]
-    arms = [
-        Arm(
-            name,
-            _measures(values, normalise),
-            None if name == REFERENCE else Difference.of((values - reference)[:, -1]),
-            None if name == REFERENCE else Difference.of((values - reference)[:, 1:].mean(axis=1)),
-        )
-        for name, values in returns.items()
-    ]
+    arms = []
+    for name, values in returns.items():
+        measures = _measures(values, normalise)
+        if name == REFERENCE:
+            arms.append(Arm(name, measures, [], None))
+            continue
+        paired = (values - reference)[:, 1:]
+        differences = [Difference.of(column) for column in paired.T]
+        arms.append(Arm(name, measures, differences, Difference.of(paired.mean(axis=1))))
     episodes = min(
         len(evaluation.returns)
         for found in runs.values()

@@ -17,13 +17,19 @@ METHOD = (
 )
 
 
+def measures(summary: Summary) -> list[str]:
+    """The measures that the task has, in the order in which they are told."""
+    return [measure for measure in TITLES if measure in summary.arms[0].measures]
+
+
 def measure_rows(summary: Summary, measure: str) -> Iterator[list[str]]:
     """The header, a row for each of pi_0 .. pi_K, and the mean over deployments."""
-    measures = [arm.measures[measure] for arm in summary.arms]
+    found = [arm.measures[measure] for arm in summary.arms]
+    last = len(found[0].deployments) - 1
     yield ["policy", *(arm.name for arm in summary.arms)]
-    for k in range(len(measures[0].deployments)):
-        yield [f"pi_{k}", *(spread(m.deployments[k]) for m in measures)]
-    yield [f"mean 1..{k}", *(spread(m.over_deployments) for m in measures)]
+    for k in range(last + 1):
+        yield [f"pi_{k}", *(spread(one.deployments[k]) for one in found)]
+    yield [f"mean 1..{last}", *(spread(one.over_deployments) for one in found)]
 
 
 def difference_rows(summary: Summary) -> Iterator[list[str]]:
@@ -64,10 +70,9 @@ def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 def text(summary: Summary) -> Iterator[str]:
     """The whole summary, line by line."""
-    for measure, title in TITLES.items():
-        if measure in summary.arms[0].measures:
-            yield f"\n{title}, mean ± std over seeds"
-            yield from aligned(list(measure_rows(summary, measure)))
+    for measure in measures(summary):
+        yield f"\n{TITLES[measure]}, mean ± std over seeds"
+        yield from aligned(list(measure_rows(summary, measure)))
     yield f"\npaired differences in return from {REFERENCE}; {METHOD}"
     yield from aligned(list(difference_rows(summary)))
     yield f"\n{summary.conclusion}"
