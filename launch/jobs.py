@@ -32,7 +32,7 @@ class Job:
 
 
 class FailedError(Exception):
-    """A job's process ended without success."""
+    """A job's process ended without success, or without its product."""
 
     def __init__(self, job: Job, end: End) -> None:
         lines = end.last_lines()
@@ -75,7 +75,7 @@ def run_jobs(jobs: Sequence[Job], workers: int, finished: Callable[[Job], None])
                 raise StoppedError(128 + signals.stop, signals.stop.name)
             for end in supervisor.ended():
                 job = running.pop(end.process)
-                if end.status != 0:
+                if end.status != 0 or not job.done:
                     raise FailedError(job, end)
                 clock.add(job.seconds)
                 took = forecast.duration(time.monotonic() - started.pop(job.name))

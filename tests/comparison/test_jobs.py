@@ -44,6 +44,7 @@ def test_finished_jobs_are_skipped(tmp_path: Path) -> None:
         ("raise SystemExit('error: no such thing')", 1, "with status 1: no such thing"),
         ("import sys; print('error: mend it'); sys.exit(2)", 2, "bad: mend it"),
         ("import os; os.kill(os.getpid(), 9)", 1, "was killed by SIGKILL"),
+        ("pass", 1, "exited with status 0: it printed nothing"),  # and left no product
     ],
 )
 def test_a_failure_is_one_line_that_names_the_job(
