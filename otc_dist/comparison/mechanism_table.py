@@ -82,8 +82,9 @@ class Mechanism:
 
     def lines(self) -> Iterator[str]:
         """For people."""
+        seeds = "1 seed" if self.seeds == 1 else f"{self.seeds} seeds"
         yield (
-            f"mean ± standard error over {self.seeds} seeds x {self.agents} agents;"
+            f"mean ± standard error over {seeds} x {self.agents} agents;"
             f" {self.minibatches} minibatches each, from a random {self.pool:,} rows of B_1"
         )
         yield f"|a_-i - pi_-i(s)| under uniform sampling: {self.uniform_mismatch}"
