@@ -75,7 +75,7 @@ class EmbeddingSection(Section):
     updates: int = Field(default=10_000, ge=1)
     batch_size: int = Field(default=256, ge=1)
     learning_rate: float = Field(default=1e-3, gt=0)
-    kl_weight: float = Field(default=3e-5, ge=0, description="small, or the latent collapses")
+    kl_weight: float = Field(default=1e-6, ge=0, description="small, or the latent collapses")
     minimum_active: int = Field(
         default=4, ge=0, description="warn below this many active dimensions"
     )
