@@ -3,8 +3,10 @@
 import argparse
 import json
 import logging
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +16,7 @@ from typing import Self
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.replies import RunSpec
-from otc_dist.bus.session import local_endpoint
+from otc_dist.bus.session import CLOSING, local_endpoint
 from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
 from otc_dist.errors import UserError
@@ -123,6 +125,11 @@ def serve(body: Callable[[], None]) -> None:
     except _StoppedError as stopped:
         print(f"stopped by {signal.Signals(stopped.number).name}", file=sys.stderr)
         status = 128 + stopped.number
+    if any(thread.name == CLOSING for thread in threading.enumerate()):
+        # A session that is still closing would end the interpreter's own clean-up by an abort.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
     sys.exit(status)
 
 

@@ -6,10 +6,8 @@ again with the same bytes. So a lost message, a link that was cut, a slow or a r
 costs time and nothing else.
 """
 
-import queue
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import Generic, TypeVar
+from collections.abc import Mapping, Sequence
 
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.messages import Action, AgentCodec, Moment, Observation
@@ -18,34 +16,12 @@ from otc_dist.bus.status import BUSY, StatusBoard
 from otc_dist.bus.wire import RejectedError, Rejections
 from otc_dist.spec import AgentSpec
 
-T = TypeVar("T")
-
 _FIRST_REPEAT = 0.05  # seconds until a question is asked again; doubles
 _SLOWEST_REPEAT = 1.0
-_LONGEST_QUEUE = 256  # messages; beyond, the oldest are dropped (they will be repeated)
 
 
 class GaveUpError(Exception):
     """A deadline passed without a sign of life. The message is one line that names who and what."""
-
-
-class _Inbox(Generic[T]):
-    """A bounded queue: filled by Zenoh's thread, emptied by the one that works."""
-
-    def __init__(self) -> None:
-        self._queue: queue.SimpleQueue[T] = queue.SimpleQueue()
-
-    def put(self, item: T) -> None:
-        if self._queue.qsize() >= _LONGEST_QUEUE:
-            self.get(0)
-        self._queue.put(item)
-
-    def get(self, timeout: float) -> T | None:
-        """The oldest item; None if none comes within `timeout` seconds."""
-        try:
-            return self._queue.get(timeout=timeout) if timeout > 0 else self._queue.get_nowait()
-        except queue.Empty:
-            return None
 
 
 class HostLockstep:
@@ -70,14 +46,9 @@ class HostLockstep:
         self._codecs = [AgentCodec(keys.run, agent, copies) for agent in agents]
         self._names = [agent.name for agent in agents]
         self._rejections, self._deadline = rejections, deadline
-        self._inbox: _Inbox[tuple[int, bytes]] = _Inbox()
         self._board = StatusBoard(session, keys, tuple(self._names), rejections)
-        for index, agent in enumerate(self._names):
-            session.subscribe(keys.action(agent), self._receiver(index))
+        self._inboxes = [session.inbox(keys.action(agent)) for agent in self._names]
         self._puts = [session.publisher(keys.observation(agent)) for agent in self._names]
-
-    def _receiver(self, index: int) -> Callable[[bytes], None]:
-        return lambda payload: self._inbox.put((index, payload))
 
     def ask(self, questions: Sequence[Observation], *, acting: bool) -> list[Action]:
         """One question and one answer for each agent, in the agents' order.
@@ -94,52 +65,44 @@ class HostLockstep:
             codec.encode_observation(question)
             for codec, question in zip(self._codecs, questions, strict=True)
         ]
-        answers: dict[int, Action] = {}
+        answers: list[Action] = []
         asked = time.monotonic()
         repeat, next_repeat = _FIRST_REPEAT, asked + _FIRST_REPEAT
         for put, payload in zip(self._puts, payloads, strict=True):
             put(payload)
-        while len(answers) < len(payloads):
-            now = time.monotonic()
-            if now >= next_repeat:
-                self._check_deadline(asked, moment, answers)
-                for index, payload in enumerate(payloads):
-                    if index not in answers:
-                        self._puts[index](payload)
+        # One agent after the other: meanwhile the others' answers gather in their inboxes.
+        while (index := len(answers)) < len(payloads):
+            received = self._inboxes[index].get(next_repeat - time.monotonic())
+            answer = None if received is None else self._decode(index, received, moment, acting)
+            if answer is not None:
+                answers.append(answer)
+            elif (now := time.monotonic()) >= next_repeat:
+                self._check_deadline(index, asked, moment)
+                for put, question in zip(self._puts[index:], payloads[index:], strict=True):
+                    put(question)
                 repeat = min(2 * repeat, _SLOWEST_REPEAT)
                 next_repeat = now + repeat
-            item = self._inbox.get(next_repeat - now)
-            if item is not None:
-                self._accept(item, moment, acting, answers)
-        return [answers[index] for index in range(len(payloads))]
+        return answers
 
-    def _accept(
-        self, item: tuple[int, bytes], moment: Moment, acting: bool, answers: dict[int, Action]
-    ) -> None:
-        index, payload = item
+    def _decode(self, index: int, payload: bytes, moment: Moment, acting: bool) -> Action | None:
         try:
-            answer = self._codecs[index].decode_action(payload, moment, acting=acting)
-            if index in answers:
-                raise RejectedError("duplicate")
-            answers[index] = answer
+            return self._codecs[index].decode_action(payload, moment, acting=acting)
         except RejectedError as rejected:
             self._rejections.count(rejected)
+            return None
 
-    def _check_deadline(self, asked: float, moment: Moment, answers: Mapping[int, Action]) -> None:
-        now = time.monotonic()
-        for index, agent in enumerate(self._names):
-            if index in answers:
-                continue
-            newest = self._board.newest(agent)
-            busy = newest is not None and newest.phase in BUSY
-            sign = max(asked, self._board.heard(agent)) if busy else asked
-            if now - sign > self._deadline:
-                what = f"{moment.phase} {moment.deployment}, step {moment.step}"
-                state = f"it says {newest.phase!r}" if newest else "it was never heard of"
-                raise GaveUpError(
-                    f"no answer from {agent} for {self._deadline:g} s ({state}) to {what}"
-                    f"{self._rejection_hint()}"
-                )
+    def _check_deadline(self, index: int, asked: float, moment: Moment) -> None:
+        agent = self._names[index]
+        newest = self._board.newest(agent)
+        busy = newest is not None and newest.phase in BUSY
+        sign = max(asked, self._board.heard(agent)) if busy else asked
+        if time.monotonic() - sign > self._deadline:
+            what = f"{moment.phase} {moment.deployment}, step {moment.step}"
+            state = f"it says {newest.phase!r}" if newest else "it was never heard of"
+            raise GaveUpError(
+                f"no answer from {agent} for {self._deadline:g} s ({state}) to {what}"
+                f"{self._rejection_hint()}"
+            )
 
     def _rejection_hint(self) -> str:
         counts = self._rejections.as_metrics()
@@ -162,12 +125,11 @@ class LearnerLockstep:
     ) -> None:
         self._codec = AgentCodec(keys.run, agent, copies)
         self._rejections = rejections
-        self._inbox: _Inbox[bytes] = _Inbox()
         self._newest: Moment | None = None
         self._put = session.publisher(keys.action(agent.name))
         self._host = StatusBoard(session, keys, (HOST,), rejections)
         self._started = time.monotonic()
-        session.subscribe(keys.observation(agent.name), self._inbox.put)
+        self._inbox = session.inbox(keys.observation(agent.name))
 
     def question(self, timeout: float) -> Observation | None:
         """The newest question that waits; None if none comes within `timeout` seconds.

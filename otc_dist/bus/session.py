@@ -11,10 +11,11 @@ import shutil
 import stat
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 
 from otc_dist.errors import UserError
 
@@ -33,6 +34,9 @@ Put = Callable[[bytes], None]
 Receive = Callable[[bytes], None]
 Query = Callable[[Mapping[str, str]], bytes]
 
+CLOSING = "closing"  # name of the thread in which a session closes
+_INBOX_SIZE = 256  # messages
+_WAKE_PERIOD = 0.05  # seconds
 _LEASE_MS = 2000  # a frozen process is noticed within this time
 _LONGEST_SOCKET_PATH = 107  # bytes, of AF_UNIX, with room for Zenoh's suffix below
 _SCHEME = "unixsock-stream/"
@@ -79,12 +83,13 @@ def _config(mode: str, maximum_payload: int, settings: Mapping[str, object]) -> 
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,  # milliseconds; a router otherwise waits 0.5 s to be discovered
         "transport/shared_memory/enabled": False,
+        # Batching stays on: without it, Zenoh 1.10 holds messages back for seconds.
         "transport/link/tx/lease": _LEASE_MS,
         "low_pass_filter": [
             {
                 "id": "maximum_payload",
-                "messages": ["put", "delete", "query", "reply"],
-                "flows": ["ingress", "egress"],
+                "messages": ["put", "query", "reply"],
+                "flows": ["ingress"],
                 "key_exprs": ["**"],
                 "size_limit": maximum_payload,
             }
@@ -93,6 +98,41 @@ def _config(mode: str, maximum_payload: int, settings: Mapping[str, object]) -> 
     for key, value in {**common, **settings}.items():
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+class Inbox:
+    """What was published on a key, waiting for the thread that works; the newest 256 messages.
+
+    Waiting happens inside Zenoh, without Python's lock, so that a message wakes one thread only.
+    It has no timeout there; instead the session wakes who waits, every 50 ms, by an empty message
+    of its own. So empty messages are no messages, whoever sends them.
+    """
+
+    def __init__(self, subscriber: Any, wake: Put) -> None:
+        self._receive, self._look, self._wake = subscriber.recv, subscriber.try_recv, wake
+        self._waiting = False
+
+    def get(self, timeout: float) -> bytes | None:
+        """The oldest message; None if none comes within about `timeout` seconds."""
+        if timeout <= 0:
+            while (sample := self._look()) is not None:
+                if payload := sample.payload.to_bytes():
+                    return cast(bytes, payload)
+            return None
+        end = time.monotonic() + timeout
+        self._waiting = True
+        try:
+            while not (payload := self._receive().payload.to_bytes()):
+                if time.monotonic() >= end:
+                    return None
+            return cast(bytes, payload)
+        finally:
+            self._waiting = False
+
+    def wake(self) -> None:
+        """Let a `get` that waits look at the time."""
+        if self._waiting:
+            self._wake(b"")
 
 
 class Session:
@@ -105,6 +145,9 @@ class Session:
     def __init__(self, session: Any) -> None:
         self._session = session
         self._declared: list[Any] = []
+        self._inboxes: list[Inbox] = []
+        self._closing = threading.Event()
+        self._waker = threading.Thread(target=self._wake_inboxes, name="wake", daemon=True)
 
     @classmethod
     def listen(cls, endpoint: str, maximum_payload: int) -> Self:
@@ -167,6 +210,23 @@ class Session:
         direct = zenoh.handlers.Callback(on_sample, indirect=False)
         self._keep(self._session.declare_subscriber(key, direct))
 
+    def inbox(self, key: str) -> Inbox:
+        """Everything published on `key`, for one thread to wait for."""
+        channel = zenoh.handlers.RingChannel(_INBOX_SIZE)
+        subscriber = self._keep(self._session.declare_subscriber(key, channel))
+        own = self._keep(
+            self._session.declare_publisher(key, allowed_destination=zenoh.Locality.SESSION_LOCAL)
+        )
+        if not self._inboxes:
+            self._waker.start()
+        self._inboxes.append(Inbox(subscriber, own.put))
+        return self._inboxes[-1]
+
+    def _wake_inboxes(self) -> None:
+        while not self._closing.wait(_WAKE_PERIOD):
+            for inbox in self._inboxes:
+                inbox.wake()
+
     def answer(self, key: str, reply: Query) -> None:
         """Answer queries on `key` with `reply(parameters)`, or with the text of its LookupError."""
 
@@ -216,8 +276,11 @@ class Session:
 
     def close(self) -> None:
         """Close; never waits longer than two seconds, whatever the state of the links."""
+        self._closing.set()
+        if self._waker.is_alive():
+            self._waker.join()
         # zenoh#2675: closing may block for about 10 s when a link is lossy.
-        closing = threading.Thread(target=self._session.close, daemon=True)
+        closing = threading.Thread(target=self._session.close, name=CLOSING, daemon=True)
         closing.start()
         closing.join(timeout=2.0)
 

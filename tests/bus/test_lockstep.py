@@ -116,7 +116,7 @@ def test_answers_given_twice_are_counted_and_ignored(endpoint: str) -> None:
     with _bus(endpoint, answer) as (host, _, _, rejections):
         for step in range(20):
             host.ask(_questions(step), acting=True)
-        assert rejections["stale"] + rejections["duplicate"] > 0
+        assert rejections["stale"] > 0
 
 
 def test_bad_answers_are_counted_and_the_good_one_still_counts(endpoint: str) -> None:
@@ -126,6 +126,7 @@ def test_bad_answers_are_counted_and_the_good_one_still_counts(endpoint: str) ->
         side.answer(Action(good.moment, np.zeros((3, 1), np.float32), DIGEST))
         side.answer(Action(good.moment, np.full((1, 1), np.nan, np.float32), DIGEST))
         side._put(b"garbage")
+        side._put(b"")  # no message at all: it only wakes
         side.answer(good)
 
     with _bus(endpoint, answer) as (host, _, _, rejections):
