@@ -161,7 +161,7 @@ class Bcq:
             for network, target in zip(online, targets, strict=True):
                 for p, q_ in zip(network.parameters(), target.parameters(), strict=True):
                     q_.copy_(self.tau * p + (1 - self.tau) * q_)
-        return [float(x) for x in (vae_loss, critic_loss, actor_loss, y.mean())]
+        return [x.item() for x in (vae_loss, critic_loss, actor_loss, y.mean())]
 
 
 @dataclass
@@ -204,7 +204,7 @@ class ConditionalVae:
         kl = 0.5 * (torch.exp(2 * log_std) + mean**2 - 1 - 2 * log_std).sum(1).mean()
         loss = ((decoded - a) ** 2).mean() + self.kl_weight * kl
         step(self.adam, loss)
-        return [float(loss), float(kl)]
+        return [loss.item(), kl.item()]
 
 
 def step(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:

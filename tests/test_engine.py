@@ -1,10 +1,12 @@
 """The engine: what runs a step, and that every backend computes the same."""
 
+import os
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
+from torch._dynamo.utils import counters
 
 from otc_dist import engine
 from otc_dist.algorithms.draws import to_tensors
@@ -82,8 +84,6 @@ def test_compiled_code_is_kept_in_the_cache(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("OTC_DIST_CACHE", "/somewhere")
     monkeypatch.delenv("TORCHINDUCTOR_CACHE_DIR", raising=False)
     Engine("eager")
-    import os
-
     assert os.environ["TORCHINDUCTOR_CACHE_DIR"] == "/somewhere/compiled"
 
 
@@ -122,7 +122,6 @@ def test_compiled_equals_eager(arm: str) -> None:
 @pytest.mark.slow
 def test_a_process_may_compile_many_variants_and_compiles_each_once() -> None:
     """A comparison in one process: brains of many sizes and arms."""
-    from torch._dynamo.utils import counters
 
     def variant(width: int) -> Callable[[torch.Tensor], torch.Tensor]:
         return Engine("compiled").fuse(lambda x: 2 * x + width)

@@ -7,10 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from otc_dist import checkpoint
+from otc_dist.algorithms.bcq import Bcq
 from otc_dist.datasets import store
 from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.writing import Provenance, locked, publish
+from otc_dist.description import EmbeddingSection
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.learner import Learner, Progress
@@ -87,8 +91,6 @@ def test_resuming_after_a_deployment_equals_no_interruption(arm: str, tmp_path: 
 
 def test_optimizer_state_and_targets_are_kept_across_deployments(tmp_path: Path) -> None:
     """Tuning twice is no pair of fresh starts: the update counter and the moments go on."""
-    from otc_dist import checkpoint
-
     finished(brain(*ARMS["uniform"]), tmp_path / "end")
     arrays, progressed = checkpoint.read(tmp_path / "end")
     assert arrays["algorithm.updates"] == 25 + 2 * 6
@@ -183,16 +185,17 @@ def test_actions_are_scaled_to_asymmetric_bounds() -> None:
     assert error.max() < 0.1
 
 
-def test_actions_never_leave_the_bounds() -> None:
-    """Not by rounding either: in float32, 0.1 + 0.2 is above 0.3."""
-    for sign in (-1.0, 1.0):
-        data = transitions(0, 200)
-        data.actions[:] = SPEC.action_low if sign < 0 else SPEC.action_high
-        fast = ("algorithm.vae_learning_rate=0.1", "algorithm.perturbation=1")
-        learner = pretrained(*ARMS["uniform"], *fast, data=data)
-        actions = learner.act(transitions(7, 500).observations, "deployment", 1, 0)
-        assert (actions >= np.float32(SPEC.action_low)).all()
-        assert (actions <= np.float32(SPEC.action_high)).all()
+@pytest.mark.parametrize("extreme", [-1.0, 1.0])
+def test_actions_never_leave_the_bounds(extreme: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not by rounding either: in float32 the scaled 1 lies above 0.7, the scaled -1 below -0.7."""
+    spec = replace(SPEC, action_low=(-0.1, -0.7), action_high=(0.7, 0.1))
+    learner = brain(*ARMS["uniform"], spec=spec)
+    monkeypatch.setattr(Bcq, "act", lambda *_: torch.full((3, 2), extreme))
+    actions = learner.act(OBSERVATIONS, "deployment", 1, 0)
+    expected = np.array(spec.action_low if extreme < 0 else spec.action_high, np.float32)
+    assert (actions >= np.float32(spec.action_low)).all()
+    assert (actions <= np.float32(spec.action_high)).all()
+    np.testing.assert_allclose(actions, np.broadcast_to(expected, (3, 2)), rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["observations", "actions", "rewards", "next_observations"])
@@ -368,12 +371,8 @@ def test_embedding_of_real_data_keeps_more_than_three_dimensions(env: str) -> No
     store.ensure(name, 20_000)
     spec = registry.team_spec(env).agents[0]
     data = store.load_agent(store.agent_file(name, spec.name, 20_000), spec.name)
-    small = describe("offline.updates=0", "embedding.updates=3000")
-    usual = small.model_copy(
-        update={
-            "embedding": type(small.embedding)(updates=3000),
-        }
-    )
+    small = describe("offline.updates=0")
+    usual = small.model_copy(update={"embedding": EmbeddingSection(updates=3000)})
     reports: list[Progress] = []
     Learner(usual, spec, data).pretrain(reports.append, unsaved)
     assert reports[-1].metrics["active_dimensions"] > 3

@@ -5,6 +5,7 @@ import pytest
 
 from otc_dist import team
 from otc_dist.envs import registry
+from otc_dist.envs.rollout import Rollout
 from otc_dist.learner import Learner
 
 from .brains import ARMS, describe, pretrained, transitions
@@ -50,3 +51,15 @@ def test_an_evaluation_counts_one_episode_a_copy(learners: list[Learner]) -> Non
     rollout = team.evaluate(learners, 0)
     assert rollout.finished and len(rollout.episode_returns) == 2
     assert team.mean_return(rollout) == pytest.approx(np.mean(rollout.episode_returns))
+
+
+def test_an_evaluation_is_what_the_env_host_would_play(learners: list[Learner]) -> None:
+    env = registry.make("hopper-3x1", 2)
+    rollout = Rollout(env, 0, "evaluation", 1)
+    while not rollout.finished:
+        actions = [
+            learner.act(observations, "evaluation", 1, rollout.step)
+            for learner, observations in zip(learners, rollout.observations, strict=True)
+        ]
+        rollout.advance(actions, (False,) * 3)
+    assert team.evaluate(learners, 1).episode_returns == rollout.episode_returns
