@@ -204,7 +204,7 @@ class ConditionalVae:
         kl = 0.5 * (torch.exp(2 * log_std) + mean**2 - 1 - 2 * log_std).sum(1).mean()
         loss = ((decoded - a) ** 2).mean() + self.kl_weight * kl
         step(self.adam, loss)
-        return [loss.item(), kl.item()]
+        return [loss.item()]
 
 
 def step(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:

@@ -12,12 +12,11 @@ from functools import cached_property
 import numpy as np
 import torch
 from torch import Tensor
-from torch.func import grad_and_value
 from torch.nn.functional import mse_loss
 
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.networks import Mlp, adam, polyak
+from otc_dist.algorithms.networks import Mlp, adam, polyak, value_and_gradient
 
 LATENT_CLIP = 0.5  # decoded actions use z ~ N(0, 1) clipped to +-0.5
 LOG_STD_RANGE = (-4.0, 15.0)
@@ -108,20 +107,25 @@ class Bcq:
         count = state["updates"] + 1
         new = dict(state, updates=count)
 
-        gradient, vae_loss = grad_and_value(self.vae_loss)(state["vae"], batch, noise["vae"])
+        vae_loss, gradient = value_and_gradient(
+            lambda vae: self.vae_loss(vae, batch, noise["vae"]), state["vae"]
+        )
         new["vae"], new["vae_moments"] = adam(
             state["vae"], gradient, state["vae_moments"], count, self.vae_learning_rate
         )
 
         target = self.target(new, batch, noise["target"])
-        gradient, critic_loss = grad_and_value(self.critic_loss)(state["critic"], batch, target)
+        critic_loss, gradient = value_and_gradient(
+            lambda critic: self.critic_loss(critic, batch, target), state["critic"]
+        )
         new["critic"], new["critic_moments"] = adam(
             state["critic"], gradient, state["critic_moments"], count, self.critic_learning_rate
         )
 
         decoded = self.decode(new["vae"], batch.observation, noise["actor"])
-        gradient, actor_loss = grad_and_value(self.actor_loss)(
-            state["actor"], new["critic"], batch.observation, decoded
+        actor_loss, gradient = value_and_gradient(
+            lambda actor: self.actor_loss(actor, new["critic"], batch.observation, decoded),
+            state["actor"],
         )
         new["actor"], new["actor_moments"] = adam(
             state["actor"], gradient, state["actor_moments"], count, self.actor_learning_rate

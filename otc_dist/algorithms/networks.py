@@ -5,6 +5,7 @@ and a state dictionary holds a few tensors instead of a hundred.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
@@ -12,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 from torch import Tensor
+from torch.func import grad_and_value
 from torch.nn.functional import relu
 
 ADAM_BETAS = (0.9, 0.999)
@@ -107,6 +109,24 @@ def _times(hidden: Tensor, weight: Tensor) -> Tensor:
 
 def _add_bias(value: Tensor, bias: Tensor) -> Tensor:
     return value + bias.view(len(bias), *[1] * (value.ndim - 2), bias.shape[-1])
+
+
+def value_and_gradient(
+    loss: Callable[[Tensor], Tensor], parameters: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The scalar `loss(parameters)` and its gradient (n,).
+
+    Compiled code traces torch.func; eagerly its layers cost as much as the arithmetic, so there
+    the same gradient comes from plain autograd.
+    """
+    if torch.compiler.is_compiling():
+        gradient, value = grad_and_value(loss)(parameters)
+        return value, gradient
+    with torch.enable_grad():
+        leaf = parameters.detach().requires_grad_()
+        value = loss(leaf)
+        (gradient,) = torch.autograd.grad(value, leaf)
+    return value.detach(), gradient
 
 
 def adam(

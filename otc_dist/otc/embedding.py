@@ -11,12 +11,11 @@ from functools import cached_property
 import numpy as np
 import torch
 from torch import Tensor
-from torch.func import grad_and_value
 from torch.nn.functional import mse_loss
 
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.networks import Mlp, adam
+from otc_dist.algorithms.networks import Mlp, adam, value_and_gradient
 
 ACTIVE_VARIANCE = 0.01  # a dimension of mu is active above this variance over the data
 LOG_STD_RANGE = (-8.0, 4.0)
@@ -38,7 +37,7 @@ class Embedding:
     learning_rate: float
     kl_weight: float
 
-    metric_names: tuple[str, ...] = ("embedding_loss", "embedding_kl")
+    metric_names: tuple[str, ...] = ("embedding_loss",)
 
     @cached_property
     def encoder(self) -> Mlp:
@@ -72,22 +71,22 @@ class Embedding:
     def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
         """One Adam step on  mean (a - a_hat)^2 + kl_weight KL  of standardised transitions."""
 
-        def loss(network: Tensor) -> tuple[Tensor, Tensor]:
+        def loss(network: Tensor) -> Tensor:
             s, a, next_s = self._standardise(state, batch)
             mean, log_std = self._encode(network, s, a, next_s)
             std = log_std.exp()
             latent = mean + std * noise["embedding"]
             decoded = self.decoder.apply(network[self.encoder.size :], s, next_s, latent)
             divergence = -0.5 * (1 + 2 * log_std - mean**2 - std**2).sum(-1).mean()
-            return mse_loss(decoded, a) + self.kl_weight * divergence, divergence
+            return mse_loss(decoded, a) + self.kl_weight * divergence
 
-        gradient, (value, divergence) = grad_and_value(loss, has_aux=True)(state["network"])
+        value, gradient = value_and_gradient(loss, state["network"])
         count = state["updates"] + 1
         network, moments = adam(
             state["network"], gradient, state["moments"], count, self.learning_rate
         )
         new = dict(state, network=network, moments=moments, updates=count)
-        return new, torch.stack((value, divergence))
+        return new, value.view(1)
 
     def embed(self, state: State, batch: Batch) -> Tensor:
         """mu(s, a, s') (B, size)."""
