@@ -11,7 +11,7 @@ field's 5 bytes (0xce and the checksum, big-endian), so a torn or flipped record
 import json
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgpack
@@ -38,6 +38,7 @@ _FALSE = 0xC2  # msgpack's false; true is one more
 
 _PER_AGENT = ("observations", "actions", "rewards", "next_observations")
 
+_Slot = tuple[int, np.dtype[Any], tuple[int, ...]]  # place among the parts, type, shape
 Rows = NDArray[np.void]  # structured; one row a step, fields as in `RecordLayout.dtype`
 
 
@@ -238,49 +239,56 @@ class RecordLayout:
 
 
 class StepEncoder:
-    """Encodes steps into one buffer, used again for each: no memory is taken per step."""
+    """Encodes steps: the template's constant bytes, joined with the bytes of a step's arrays."""
 
     def __init__(self, layout: RecordLayout) -> None:
-        self._buffer = bytearray(layout.template)
-        row = layout.rows(self._buffer)[0]
+        self._prefix = layout.prefix
+        fields = layout.dtype.fields
+        assert fields is not None  # it is a structured type
+        names = [name for name in fields if name not in ("log_time", "publish_time")]
+        # Constant bytes in the even places, fields in the odd ones; the checksum is added last.
+        self._parts: list[bytes] = []
+        slots: dict[str, _Slot] = {}
+        end = PAYLOAD_START
+        for name in names[:-1]:
+            kind, start = fields[name][0], int(fields[name][1])
+            self._parts += [bytes(layout.template[end:start]), b""]
+            slots[name] = (len(self._parts) - 1, kind.base, kind.shape)
+            end = start + kind.itemsize
+        self._parts.append(bytes(layout.template[end : -1 - _CHECKSUM.size]))
         agents = range(len(layout.team.agents))
-        self._by_agent = tuple([row[f"{name}.{i}"] for i in agents] for name in _PER_AGENT)
-        self._by_copy = tuple(
-            row[name] for name in ("terminated", "truncated", "episode_seeds", "state")
-        )
-        self._step_at = layout.dtype.fields["step"][1]  # type: ignore[index]  # it has fields
-        exploring_at = layout.dtype.fields["exploring"][1]  # type: ignore[index]
-        self._exploring = memoryview(self._buffer)[exploring_at : exploring_at + len(agents)]
-        self._record = memoryview(self._buffer)
-        self._checked = self._record[PAYLOAD_START : -1 - _CHECKSUM.size]
+        self._by_agent = [[slots[f"{name}.{i}"] for i in agents] for name in _PER_AGENT]
+        self._by_copy = [
+            slots[name] for name in ("terminated", "truncated", "episode_seeds", "state")
+        ]
+        self._step, self._exploring = slots["step"][0], slots["exploring"][0]
 
-    def encode(self, step: JointStep, log_time: int) -> memoryview:
-        """The whole MCAP record; valid until the next call.
+    def encode(self, step: JointStep, log_time: int) -> bytes:
+        """The whole MCAP record.
 
         Raises:
             ValueError: an array has another shape than the team's.
             TypeError: an array has another type than the team's.
         """
-        number = step.step
-        _TIMES.pack_into(self._buffer, _PREFIX_SIZE, number, log_time, log_time)
-        _CHECKSUM.pack_into(self._buffer, self._step_at, number)
+        parts, number = self._parts, step.step
+        parts[self._step] = _CHECKSUM.pack(number)
         given = (step.observations, step.actions, step.rewards, step.next_observations)
-        for targets, arrays in zip(self._by_agent, given, strict=True):
-            for target, array in zip(targets, arrays, strict=True):
-                _copy(target, array)
-        terminated, truncated, seeds, state = self._by_copy
-        _copy(terminated, step.terminated)
-        _copy(truncated, step.truncated)
-        _copy(seeds, step.episode_seeds)
-        _copy(state, step.state)
-        self._exploring[:] = bytes([_FALSE + tag for tag in step.exploring])
-        checksum = zlib.crc32(self._checked)
-        _CHECKSUM.pack_into(self._buffer, len(self._buffer) - _CHECKSUM.size, checksum)
-        return self._record
+        for slots, arrays in zip(self._by_agent, given, strict=True):
+            self._fill(slots, arrays)
+        by_copy = (step.terminated, step.truncated, step.episode_seeds, step.state)
+        self._fill(self._by_copy, by_copy)
+        tags = bytes([_FALSE + tag for tag in step.exploring])
+        if len(tags) != len(self._by_agent[0]):
+            raise ValueError(f"a step has {len(tags)} behaviour tags")
+        parts[self._exploring] = tags
+        body = b"".join(parts)
+        times = _TIMES.pack(number, log_time, log_time)
+        return b"".join((self._prefix, times, body, _UINT32, _CHECKSUM.pack(zlib.crc32(body))))
 
-
-def _copy(target: NDArray[Any], array: NDArray[Any]) -> None:
-    # Without this check an array of one row would be spread over all copies.
-    if array.shape != target.shape:
-        raise ValueError(f"an array of a step has shape {array.shape}, not {target.shape}")
-    np.copyto(target, array, casting="equiv")
+    def _fill(self, slots: Sequence[_Slot], arrays: Sequence[NDArray[Any]]) -> None:
+        for (place, kind, shape), array in zip(slots, arrays, strict=True):
+            if array.shape != shape:
+                raise ValueError(f"an array of a step has shape {array.shape}, not {shape}")
+            if array.dtype != kind:
+                raise TypeError(f"an array of a step is of {array.dtype}, not {kind}")
+            self._parts[place] = array.tobytes()

@@ -110,13 +110,12 @@ class LogWriter:
         self._append(record)
         self._last_time = log_time
         self.steps += 1
-        if step.terminated.any() or step.truncated.any():
-            now = time.monotonic()
-            if now - self._synced >= SYNC_INTERVAL:
-                os.fsync(self._file)
-                self._synced = now
+        now = time.monotonic()
+        if now - self._synced >= SYNC_INTERVAL and (step.terminated | step.truncated).any():
+            os.fsync(self._file)
+            self._synced = now
 
-    def _append(self, record: memoryview) -> None:
+    def _append(self, record: bytes) -> None:
         try:
             written = os.write(self._file, record)
             while written < len(record):

@@ -40,6 +40,10 @@ class RobotEnv:
         self._qvel: Float64 = self._batch.bind("qvel")
         self._warmstart: Float64 = self._batch.bind("qacc_warmstart")
         self._ctrl: Float64 = self._batch.bind("ctrl")
+        # What an agent sees, and what tells whether the robot has fallen.
+        self._seen: tuple[Float64, Float64] = (self._qpos[:, 1:], self._qvel)
+        self._forward: Float64 = self._qpos[:, 0]
+        self._healthy = _healthy_range(self._robot)
         self._initial_qpos: Float64 = model.qpos0.copy()
         self._step_seconds = model.opt.timestep * self._robot.frame_skip
         self._elapsed = np.zeros(copies, np.int64)
@@ -68,12 +72,11 @@ class RobotEnv:
     def observe(self) -> tuple[Float32, ...]:
         """See `BatchedEnv.observe`: one array for all agents."""
         robot = self._robot
-        observation = np.empty((self.copies, robot.observation_size), np.float32)
-        observation[:, : robot.joints - 1] = self._qpos[:, 1:]
-        velocity = observation[:, robot.joints - 1 :]
-        velocity[...] = self._qvel
+        observation: Float32 = np.concatenate(self._seen, axis=1, dtype=np.float32)
         if robot.velocity_clip is not None:
-            np.clip(velocity, -robot.velocity_clip, robot.velocity_clip, out=velocity)
+            velocity = observation[:, robot.joints - 1 :]
+            np.maximum(velocity, -robot.velocity_clip, out=velocity)
+            np.minimum(velocity, robot.velocity_clip, out=velocity)
         return (observation,) * self._agents
 
     def step(self, actions: Sequence[Float32]) -> Outcome:
@@ -81,28 +84,25 @@ class RobotEnv:
         robot = self._robot
         action = self._actions.clipped(actions)
         self._ctrl[...] = action
-        self._before[...] = self._qpos[:, 0]
+        self._before[...] = self._forward
         self._batch.step(nstep=robot.frame_skip)
         self._elapsed += 1
         # The cost is summed in float32 and the rest in float64, as gymnasium does when it is
         # given float32 actions.
         cost = np.float32(robot.control_cost) * np.square(action).sum(axis=1)
-        velocity = (self._qpos[:, 0] - self._before) / self._step_seconds
+        velocity = (self._forward - self._before) / self._step_seconds
         reward = (velocity + robot.healthy_reward - cost).astype(np.float32)
         terminated = self._fallen()
         truncated = (self._elapsed >= self.spec.max_episode_steps) & ~terminated
         return Outcome((reward,) * self._agents, terminated, truncated)
 
     def _fallen(self) -> Bool:
-        health = self._robot.health
-        if health is None:
+        if self._healthy is None:
             return np.zeros(self.copies, np.bool_)
-        height, angle = self._qpos[:, 1], self._qpos[:, 2]
-        healthy = (height > health.height[0]) & (height < health.height[1])
-        healthy &= (angle > health.angle[0]) & (angle < health.angle[1])
-        if health.limit is not None:
-            healthy &= (np.abs(self._qpos[:, 2:]) < health.limit).all(axis=1)
-            healthy &= (np.abs(self._qvel) < health.limit).all(axis=1)
+        low, high = self._healthy
+        values = np.concatenate(self._seen, axis=1)[:, : len(low)]
+        # So that what is not a number has fallen.
+        healthy: Bool = np.logical_and.reduce((values > low) & (values < high), axis=1)
         return ~healthy
 
     def state(self) -> Float64:
@@ -124,6 +124,20 @@ class RobotEnv:
 
     def close(self) -> None:
         """Nothing to release: the simulator's memory goes with the object."""
+
+
+def _healthy_range(robot: Robot) -> tuple[Float64, Float64] | None:
+    """Open intervals for the first entries of (qpos[1:], qvel): height, angle, all others."""
+    health = robot.health
+    if health is None:
+        return None
+    ranges = [health.height, health.angle]
+    if health.limit is not None:
+        low, high = health.angle
+        ranges[1] = (max(low, -health.limit), min(high, health.limit))
+        ranges += [(-health.limit, health.limit)] * (robot.observation_size - len(ranges))
+    low_end, high_end = np.array(ranges, np.float64).T
+    return low_end, high_end
 
 
 def load_model(robot: Robot) -> mujoco.MjModel:

@@ -84,9 +84,10 @@ class Rollout:
             state=state,
         )
         self.step += 1
-        self._returns += np.mean(outcome.rewards, axis=0, dtype=np.float64)
+        total = np.add.reduce(outcome.rewards, axis=0, dtype=np.float64)
+        self._returns += total / len(outcome.rewards)
         self._lengths += 1
-        ended = np.flatnonzero(outcome.terminated | outcome.truncated)
+        (ended,) = (outcome.terminated | outcome.truncated).nonzero()
         if len(ended):
             self._finish(ended)
             self.observations = env.observe()
