@@ -44,7 +44,7 @@ def commands() -> list[Command]:
 def test_the_two_commands_install_alike() -> None:
     main_job, tests = commands()[0].text, commands()[1].text
     assert main_job == f"{INSTALL}. && .venv/bin/python -m otc_dist.launch 3agent_hopper"
-    assert tests == f"{INSTALL}'.[test]' && .venv/bin/python -m pytest"
+    assert tests == (f"{INSTALL}'.[test]' && .venv/bin/python -m pytest -n auto --dist loadfile")
     assert commands()[1].ci
 
 
