@@ -26,6 +26,7 @@ import msgpack
 import numpy as np
 
 from otc_dist.bus.keys import Keys
+from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.lockstep import HostLockstep, LearnerLockstep
 from otc_dist.bus.messages import Action, AgentCodec, Moment, Observation, StepOutcome
 from otc_dist.bus.session import Session, local_endpoint, remove_local_endpoint
@@ -38,7 +39,6 @@ from otc_dist.transitions import JointStep
 TEAM = team_spec("hopper-3x1")
 AGENTS = range(len(TEAM.agents))
 COPIES = {"deployment": 1, "evaluation": 1, "done": 0}
-MAXIMUM = 2**20
 DIGEST = "0" * 16
 CODECS = [AgentCodec("bench", agent, COPIES) for agent in TEAM.agents]
 _random = np.random.default_rng(0)
@@ -95,7 +95,7 @@ def _end(processes: Sequence[Any]) -> None:
 
 def _our_agent(index: int, endpoint: str) -> None:
     agent = TEAM.agents[index]
-    with Session.connect(endpoint, MAXIMUM) as session:
+    with Session.connect(endpoint, QUICK_PAYLOAD) as session:
         side = LearnerLockstep(session, Keys("bench"), agent, COPIES, Rejections())
         while True:
             asked = side.question(60.0)
@@ -108,7 +108,7 @@ def ours(folder: Path) -> Iterator[Step]:
     header = LogHeader("bench", 1, 0, "", "", TEAM, 1)
     writer = LogWriter.create(folder / "bench.mcap", header)
     seeds, state = np.zeros(1, np.int64), np.zeros((1, TEAM.state_size))
-    with Session.listen(endpoint, MAXIMUM) as session:
+    with Session.listen(endpoint, QUICK_PAYLOAD) as session:
         host = HostLockstep(session, Keys("bench"), TEAM.agents, COPIES, 60.0, Rejections())
         processes = _spawn(_our_agent, endpoint)
 

@@ -222,7 +222,7 @@ class EnvHost:
     def _history_of(self, agent: str) -> Callable[[Mapping[str, str]], bytes]:
         """Answers queries for the agent's own transitions, read from the log."""
         spec = self._run.team.agents[self._run.team.index(agent)]
-        rows = history_rows(spec, self._description.bus.maximum_payload)
+        rows = history_rows(spec, self._run.maximum_payload)
         page = max(1, rows // self._description.env.copies)  # steps
 
         def reply(parameters: Mapping[str, str]) -> bytes:
@@ -284,7 +284,7 @@ def main() -> None:
     def body() -> None:
         run = Run.open(arguments.run)
         endpoint = arguments.listen or run.endpoint
-        session = Session.listen(endpoint, run.description.bus.maximum_payload)
+        session = Session.listen(endpoint, run.maximum_payload)
         try:
             EnvHost(run, session).serve()
         finally:

@@ -213,10 +213,9 @@ def main() -> None:
         if arguments.agent not in run.team.names:
             raise unknown("agent", arguments.agent, run.team.names)
         agent = run.team.agents[run.team.index(arguments.agent)]
-        bus = run.description.bus
         endpoint = arguments.connect or run.endpoint
-        with Session.connect(endpoint, bus.maximum_payload) as session:
-            agree(session, run.keys, run.spec, bus.answer_deadline)
+        with Session.connect(endpoint, run.maximum_payload) as session:
+            agree(session, run.keys, run.spec, run.description.bus.answer_deadline)
             service = LearnerService(run, agent, session)
             with service.heartbeat:
                 service.serve(_own_data(run, agent))

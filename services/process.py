@@ -14,8 +14,9 @@ from types import FrameType
 from typing import Self
 
 from otc_dist.bus.keys import Keys
+from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.lockstep import GaveUpError
-from otc_dist.bus.replies import RunSpec
+from otc_dist.bus.replies import RunSpec, history_rows
 from otc_dist.bus.session import CLOSING, local_endpoint
 from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
@@ -84,6 +85,14 @@ class Run:
     def spec(self) -> RunSpec:
         """What env host and learners must agree on."""
         return RunSpec(self.team.env_id, self.team.agents, self.description.digest())
+
+    @property
+    def maximum_payload(self) -> int:
+        """The longest message, bytes: the description's limit; less where links can be quick."""
+        limit, copies = self.description.bus.maximum_payload, max(self.copies.values())
+        # A step's page of history is longer than its question.
+        short = all(history_rows(agent, QUICK_PAYLOAD) >= copies for agent in self.team.agents)
+        return min(limit, QUICK_PAYLOAD) if short else limit
 
     @property
     def endpoint(self) -> str:

@@ -5,7 +5,6 @@ is discovered: multicast and gossip are off. Delivery is not relied on (see `loc
 """
 
 import hashlib
-import json
 import os
 import shutil
 import stat
@@ -17,18 +16,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast
 
+from otc_dist.bus.links import configuration, zenoh
 from otc_dist.errors import UserError
-
-# One thread per process for all of Zenoh's work. With its default of several, a step of the
-# lock-step takes 1.4 times as long: every hand-over between threads costs a wake-up. Read by
-# Zenoh when its first session opens.
-os.environ.setdefault(
-    "ZENOH_RUNTIME",
-    "(app:(handover:rx),acc:(handover:rx),net:(handover:rx),tx:(handover:rx),rx:(worker_threads:1))",
-)
-import zenoh as _typed_zenoh
-
-zenoh: Any = _typed_zenoh  # its stubs leave functions untyped; none of its types leave this file
 
 Put = Callable[[bytes], None]
 Receive = Callable[[bytes], None]
@@ -37,7 +26,6 @@ Query = Callable[[Mapping[str, str]], bytes]
 CLOSING = "closing"  # name of the thread in which a session closes
 _INBOX_SIZE = 256  # messages
 _WAKE_PERIOD = 0.05  # seconds
-_LEASE_MS = 2000  # a frozen process is noticed within this time
 _LONGEST_SOCKET_PATH = 107  # bytes, of AF_UNIX, with room for Zenoh's suffix below
 _SCHEME = "unixsock-stream/"
 
@@ -73,31 +61,6 @@ def remove_local_endpoint(endpoint: str) -> None:
     folder = Path(endpoint.removeprefix(_SCHEME)).parent
     if endpoint.startswith(_SCHEME) and folder.name.startswith(f"otc-{os.getuid()}-"):
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _config(mode: str, maximum_payload: int, settings: Mapping[str, object]) -> Any:
-    config = zenoh.Config()
-    common: dict[str, object] = {
-        "mode": mode,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "scouting/delay": 0,  # milliseconds; a router otherwise waits 0.5 s to be discovered
-        "transport/shared_memory/enabled": False,
-        # Batching stays on: without it, Zenoh 1.10 holds messages back for seconds.
-        "transport/link/tx/lease": _LEASE_MS,
-        "low_pass_filter": [
-            {
-                "id": "maximum_payload",
-                "messages": ["put", "query", "reply"],
-                "flows": ["ingress"],
-                "key_exprs": ["**"],
-                "size_limit": maximum_payload,
-            }
-        ],
-    }
-    for key, value in {**common, **settings}.items():
-        config.insert_json5(key, json.dumps(value))
-    return config
 
 
 class Inbox:
@@ -151,14 +114,14 @@ class Session:
 
     @classmethod
     def listen(cls, endpoint: str, maximum_payload: int) -> Self:
-        """Open the star's centre.
+        """Open the star's centre. Its links are quick if no message is long: see `links`.
 
         Raises:
             UserError: the endpoint is in use or cannot be listened on.
         """
         settings = {"listen/endpoints": [endpoint]}
         try:
-            return cls(zenoh.open(_config("router", maximum_payload, settings)))
+            return cls(zenoh.open(configuration("router", maximum_payload, settings)))
         except zenoh.ZError as error:
             raise UserError(
                 f"cannot listen on {endpoint}: it is in use, not permitted or no endpoint"
@@ -183,7 +146,7 @@ class Session:
             },
         }
         try:
-            return cls(zenoh.open(_config("client", maximum_payload, settings)))
+            return cls(zenoh.open(configuration("client", maximum_payload, settings)))
         except zenoh.ZError as error:
             raise UserError(
                 f"nobody listens on {endpoint} after {timeout:.0f} s: does the env host run?"

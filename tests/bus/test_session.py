@@ -1,12 +1,18 @@
 """Sessions: private, bounded, and clear about what is wrong."""
 
+import multiprocessing
+import os
 import queue
+import signal
 import socket
 import stat
+import threading
+import time
 from pathlib import Path
 
 import pytest
 
+from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.session import Session, local_endpoint, remove_local_endpoint
 from otc_dist.errors import UserError
 
@@ -114,3 +120,43 @@ def test_liveliness_is_seen_to_come_and_to_go(endpoint: str) -> None:
         assert seen.get(timeout=PATIENCE) is True
         client.close()
         assert seen.get(timeout=PATIENCE) is False
+
+
+def _freeze(endpoint: str) -> None:
+    with Session.connect(endpoint, QUICK_PAYLOAD) as session:
+        session.inbox("t/question")
+        session.declare_alive("t/alive")
+        os.kill(os.getpid(), signal.SIGSTOP)
+
+
+def test_a_frozen_process_never_holds_up_who_asks_it_again(endpoint: str) -> None:
+    present, gone = threading.Event(), threading.Event()
+    with Session.listen(endpoint, QUICK_PAYLOAD) as session:
+        session.watch_alive("t/alive", lambda alive: (present if alive else gone).set())
+        put = session.publisher("t/question")
+        frozen = multiprocessing.get_context("spawn").Process(target=_freeze, args=(endpoint,))
+        frozen.start()
+        try:
+            assert present.wait(PATIENCE)
+            longest, asked = 0.0, 0
+            # More often than a lock-step repeats its question; the lease ends the link.
+            while not gone.wait(0.25) and asked < 40:
+                start = time.monotonic()
+                put(bytes(QUICK_PAYLOAD - 200))
+                longest, asked = max(longest, time.monotonic() - start), asked + 1
+        finally:
+            frozen.kill()
+            frozen.join()
+        assert gone.is_set() and longest < 0.2
+
+
+@pytest.mark.parametrize(("host", "client"), [(QUICK_PAYLOAD, 2**20), (2**20, QUICK_PAYLOAD)])
+def test_quick_and_ordinary_sessions_understand_each_other(
+    endpoint: str, host: int, client: int
+) -> None:
+    with Session.listen(endpoint, host) as one, Session.connect(endpoint, client) as other:
+        page = b"x" * QUICK_PAYLOAD
+        one.answer("t/page", lambda _: page)
+        while (answer := other.ask("t/page", {}, PATIENCE)) is None:
+            pass
+        assert answer == page
