@@ -7,9 +7,11 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from otc_dist.bus.session import local_endpoint, remove_local_endpoint
@@ -17,11 +19,19 @@ from otc_dist.datasets import store
 from otc_dist.deployment_log.reader import read_steps
 from otc_dist.description import Description
 from otc_dist.run_folder import RunFolder
+from otc_dist.transitions import JointStep
 
 PATIENCE = 180.0  # seconds; only a test that fails waits as long
 AGENTS = ("agent_0", "agent_1", "agent_2")
 PROCESSES = ("host", *AGENTS)
 WRAPPED = Path(__file__).with_name("wrapped.py")
+
+
+def step_bytes(step: JointStep) -> list[bytes]:
+    """A logged step, to the bit: every array's bytes, field by field."""
+    values = [getattr(step, field.name) for field in fields(step)]
+    arrays = [part for value in values for part in (value if type(value) is tuple else (value,))]
+    return [np.asarray(array).tobytes() for array in arrays]
 
 
 class Services:
@@ -104,7 +114,7 @@ class Services:
             found[f"evaluation {k}"] = self.folder.evaluation(k).read_bytes()
             if k:
                 found[f"deployment {k}"] = [
-                    repr(step) for step in read_steps(self.folder.deployment(k))
+                    step_bytes(step) for step in read_steps(self.folder.deployment(k))
                 ]
         return found
 

@@ -10,11 +10,15 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist import team
 from otc_dist.bus.keys import Keys
 from otc_dist.datasets import store
+from otc_dist.deployment_log.reader import read_steps
 from otc_dist.description import Description
+from otc_dist.envs import registry
+from otc_dist.learner import Learner
 
-from .conftest import AGENTS, PROCESSES, Services
+from .conftest import AGENTS, PROCESSES, Services, step_bytes
 
 
 def _data_file(services: Services, agent: str, cache: Path | None = None) -> Path:
@@ -78,6 +82,28 @@ def test_the_env_host_opens_no_agents_data_and_runs_without_torch(finished: Serv
     assert [path for path in record["opened"] if path.endswith(".safetensors")] == []
     agents = str(finished.folder.root / "agents")
     assert [path for path in record["opened"] if path.startswith(agents)] == []
+
+
+def test_brains_called_in_one_process_come_to_the_same_bytes(finished: Services) -> None:
+    description = Description.load(finished.folder.description)
+    spec = registry.team_spec(description.env.id)
+    learners = []
+    for agent in spec.agents:
+        data = store.load_agent(_data_file(finished, agent.name), agent.name)
+        learners.append(Learner(description, agent, data))
+        learners[-1].pretrain(lambda progress: None, lambda: None)
+    for k in (1, 2):
+        steps = team.deploy(learners, k)
+        logged = read_steps(finished.folder.deployment(k))
+        for ours, theirs in zip(steps, logged, strict=True):
+            assert step_bytes(ours) == step_bytes(theirs)
+        for index, learner in enumerate(learners):
+            learner.tune(k, team.own_transitions(steps, index), lambda progress: None)
+        evaluation = json.loads(finished.folder.evaluation(k).read_text())
+        digests = {learner.spec.name: learner.policy_digest() for learner in learners}
+        assert digests == evaluation["policies"]
+        played = team.evaluate(learners, k)
+        assert list(played.episode_returns) == evaluation["returns"]
 
 
 def test_nothing_of_the_bus_stays_behind(finished: Services) -> None:
