@@ -5,7 +5,7 @@ and a state dictionary holds a few tensors instead of a hundred.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
@@ -155,6 +155,42 @@ def adam(
     root = torch.sqrt(1 - beta2**count).to(parameters.dtype)
     parameters = parameters - size * first / (second.sqrt() / root + ADAM_EPSILON)
     return parameters, torch.stack((first, second))
+
+
+def descend(
+    state: Mapping[str, Tensor],
+    name: str,
+    learning_rate: float,
+    loss: Callable[[Tensor], Tensor],
+) -> tuple[dict[str, Tensor], Tensor]:
+    """One step of Adam on the network `name`: the new state, and the loss before the step.
+
+    Args:
+        state: as `fresh_state` makes it; its `updates` counts this step already.
+        loss: scalar, of the network's parameters (n,).
+    """
+    value, gradient = value_and_gradient(loss, state[name])
+    moments = f"{name}_moments"
+    parameters, new_moments = adam(
+        state[name], gradient, state[moments], state["updates"], learning_rate
+    )
+    return {**state, name: parameters, moments: new_moments}, value
+
+
+def fresh_state(
+    networks: Mapping[str, np.ndarray], targets: Iterable[str] = ()
+) -> dict[str, np.ndarray]:
+    """The state before the first update, float32.
+
+    Keys: each network's name (n,), `_moments` (2, n) of its optimizer, and, for those named in
+    `targets`, `_target`, equal to the network; `updates` (float64 scalar), the updates made.
+    """
+    state = {name: parameters.astype(np.float32) for name, parameters in networks.items()}
+    for name, parameters in networks.items():
+        state[f"{name}_moments"] = np.zeros((2, len(parameters)), dtype=np.float32)
+    for name in targets:
+        state[f"{name}_target"] = state[name].copy()
+    return {**state, "updates": np.zeros((), dtype=np.float64)}
 
 
 def polyak(target: Tensor, parameters: Tensor, rate: float) -> Tensor:

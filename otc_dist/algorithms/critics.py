@@ -1,0 +1,55 @@
+"""Twin critics: two action values trained on one target, against overestimation (Fujimoto, van
+Hoof and Meger, ICML 2018).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from torch import Tensor
+
+from otc_dist.algorithms.interface import Batch
+from otc_dist.algorithms.networks import Mlp
+
+
+@dataclass(frozen=True)
+class TwinCritics:
+    """Q_1(s, a) and Q_2(s, a) as pure functions of one flat parameter vector (size,).
+
+    States (..., s) and actions (..., a) may have different leading shapes that broadcast.
+    """
+
+    observation_size: int
+    action_size: int
+    hidden: tuple[int, ...]
+
+    @cached_property
+    def network(self) -> Mlp:
+        return Mlp((self.observation_size, self.action_size), self.hidden, 1, copies=2)
+
+    def initialise(self, random: np.random.Generator) -> np.ndarray:
+        return self.network.initialise(random)
+
+    def both(self, parameters: Tensor, observations: Tensor, actions: Tensor) -> Tensor:
+        """Q_1 and Q_2 (2, ...)."""
+        return self.network.apply(parameters, observations, actions).squeeze(-1)
+
+    def minimum(self, parameters: Tensor, observations: Tensor, actions: Tensor) -> Tensor:
+        """min_j Q_j(s, a) (...)."""
+        return self.both(parameters, observations, actions).amin(0)
+
+    def first(self, parameters: Tensor, observations: Tensor, actions: Tensor) -> Tensor:
+        """Q_1(s, a) (...), without the cost of the other."""
+        network = self.network
+        alone = network.first_parameters(parameters)
+        return network.first().apply(alone, observations, actions).squeeze(-1)
+
+    def loss(self, parameters: Tensor, batch: Batch, target: Tensor) -> Tensor:
+        """Sum over the twins of mean (Q_j(s, a) - y)^2, for targets y (B,)."""
+        q = self.both(parameters, batch.observation, batch.action)
+        return ((q - target) ** 2).mean(-1).sum()
+
+
+def td_target(batch: Batch, discount: float, next_values: Tensor) -> Tensor:
+    """y = r + gamma V(s') (B,), and y = r at a terminal s', for next values V(s') (B,)."""
+    return batch.reward + discount * (1 - batch.terminated) * next_values
