@@ -1,0 +1,203 @@
+"""CQL: conservative Q-learning for continuous actions (Kumar, Zhou, Tucker and Levine, NeurIPS
+2020), the variant CQL(H) with a fixed weight.
+
+Soft actor-critic whose critics are also pushed down wherever they are high and up on the data.
+The equations and the constants that Table 3 of the OTC paper leaves open follow the authors' code
+(aviralkumar2907/CQL, its settings for MuJoCo) as it is run without a Lagrange multiplier: the
+backed-up value has no entropy term, and the policy is not warmed up by behaviour cloning.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from otc_dist.algorithms.critics import TwinCritics, td_target
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.gaussian import mode_squashed, sample_squashed
+from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
+
+LOG_STD_RANGE = (-5.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Cql:
+    """CQL for one agent with continuous actions in [-1, 1].
+
+    Attributes:
+        observation_size, action_size: the agent's own.
+        hidden: hidden layers of every network.
+        actor_learning_rate: Table 3; the temperature's as well, as in the authors' code.
+        critic_learning_rate: Table 3.
+        weight: w of the conservative term.
+        action_samples: actions of each of the three kinds in the conservative term.
+    """
+
+    observation_size: int
+    action_size: int
+    hidden: tuple[int, ...]
+    actor_learning_rate: float
+    critic_learning_rate: float
+    discount: float
+    target_rate: float
+    weight: float
+    action_samples: int
+
+    metric_names: tuple[str, ...] = ("critic_loss", "actor_loss", "temperature", "q")
+
+    @cached_property
+    def actor(self) -> Mlp:
+        return Mlp((self.observation_size,), self.hidden, 2 * self.action_size)
+
+    @cached_property
+    def critics(self) -> TwinCritics:
+        return TwinCritics(self.observation_size, self.action_size, self.hidden)
+
+    def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
+        """Networks actor and critic, the latter with a target, and log_temperature (1,)."""
+        actor, critic = self.actor.initialise(random), self.critics.initialise(random)
+        networks = {"actor": actor, "critic": critic, "log_temperature": np.zeros(1)}
+        return fresh_state(networks, targets=("critic",))
+
+    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+        one, several = (batch_size, self.action_size), (self.action_samples, self.action_size)
+        return {
+            "actor": Draw("normal", one),
+            "target": Draw("normal", one),
+            "random": Draw("uniform", (batch_size, *several)),
+            "current": Draw("normal", (batch_size, *several)),
+            "next": Draw("normal", (batch_size, *several)),
+        }
+
+    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+        """One update of the temperature, the actor and the critics, in the authors' order.
+
+        The actor sees the new temperature; otherwise all see the state before the update.
+        """
+        new = dict(state, updates=state["updates"] + 1)
+        here = self.policy(state["actor"], batch.observation)
+        there = self.policy(state["actor"], batch.next_observation)
+
+        _, log_density = sample_squashed(*here, noise["actor"])
+        new, _ = descend(
+            new,
+            "log_temperature",
+            self.actor_learning_rate,
+            lambda log_temperature: self.temperature_loss(log_temperature, log_density),
+        )
+        temperature = new["log_temperature"].exp()
+
+        new, actor_loss = descend(
+            new,
+            "actor",
+            self.actor_learning_rate,
+            lambda actor: self.actor_loss(
+                actor, state["critic"], temperature, batch.observation, noise["actor"]
+            ),
+        )
+
+        target = self.target(state, batch, there, noise["target"])
+        candidates = self.candidates(here, there, noise)
+        new, critic_loss = descend(
+            new,
+            "critic",
+            self.critic_learning_rate,
+            lambda critic: self.critic_loss(critic, batch, target, *candidates),
+        )
+        new["critic_target"] = polyak(state["critic_target"], new["critic"], self.target_rate)
+        return new, torch.stack((critic_loss, actor_loss, temperature[0], target.mean()))
+
+    def policy(self, actor: Tensor, observations: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log standard deviation (..., a) of the action before tanh."""
+        mean, log_std = self.actor.apply(actor, observations).chunk(2, dim=-1)
+        return mean, log_std.clamp(*LOG_STD_RANGE)
+
+    def temperature_loss(self, log_temperature: Tensor, log_density: Tensor) -> Tensor:
+        """-log(temperature) mean(log pi(a|s) + H), with the target entropy H = -a_size."""
+        return -(log_temperature * (log_density - self.action_size)).mean()
+
+    def actor_loss(
+        self,
+        actor: Tensor,
+        critic: Tensor,
+        temperature: Tensor,
+        observations: Tensor,
+        noise: Tensor,
+    ) -> Tensor:
+        """mean [temperature log pi(a|s) - min_j Q_j(s, a)], a ~ pi(s) (Haarnoja et al., 2018)."""
+        actions, log_density = sample_squashed(*self.policy(actor, observations), noise)
+        q = self.critics.minimum(critic, observations, actions)
+        return (temperature * log_density - q).mean()
+
+    def target(
+        self, state: State, batch: Batch, there: tuple[Tensor, Tensor], noise: Tensor
+    ) -> Tensor:
+        """y = r + gamma min_j Q'_j(s', a'), a' ~ pi(s'). At a terminal s', y = r.
+
+        Args:
+            there: the policy's mean and log standard deviation in s'.
+        """
+        actions, _ = sample_squashed(*there, noise)
+        q = self.critics.minimum(state["critic_target"], batch.next_observation, actions)
+        return td_target(batch, self.discount, q)
+
+    def candidates(
+        self, here: tuple[Tensor, Tensor], there: tuple[Tensor, Tensor], noise: Draws
+    ) -> tuple[Tensor, Tensor]:
+        """Actions of the conservative term (B, 3n, a) and their log densities (B, 3n).
+
+        n uniform ones, n of the policy in s, and n of the policy in s' (all judged in s).
+        """
+        uniform = 2 * noise["random"] - 1
+        uniform_density = torch.full_like(uniform[..., 0], -self.action_size * math.log(2))
+        current, current_density = _sample_several(here, noise["current"])
+        following, following_density = _sample_several(there, noise["next"])
+        return (
+            torch.cat((uniform, current, following), 1),
+            torch.cat((uniform_density, current_density, following_density), 1),
+        )
+
+    def critic_loss(
+        self, critic: Tensor, batch: Batch, target: Tensor, actions: Tensor, log_density: Tensor
+    ) -> Tensor:
+        """Sum over the twins of  mean (Q_j(s, a) - y)^2 + w mean [log sum_i exp(Q_j(s, a_i)
+        - log p(a_i)) - Q_j(s, a)], over the candidates a_i of density p (eq. 4 with the
+        importance weights of the paper's experiments; their number is left out of the sum, as in
+        the authors' code, and changes no gradient).
+        """
+        judged = torch.cat((batch.action.unsqueeze(1), actions), 1)
+        q = self.critics.both(critic, batch.observation.unsqueeze(1), judged)
+        q_data, q_candidates = q[..., 0], q[..., 1:]
+        bellman = ((q_data - target) ** 2).mean(-1)
+        gap = (torch.logsumexp(q_candidates - log_density, -1) - q_data).mean(-1)
+        return (bellman + self.weight * gap).sum()
+
+    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+        return {}
+
+    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+        """The squashed mean of the policy."""
+        return mode_squashed(self.policy(state["actor"], observations)[0])
+
+    def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
+        return self.critics.first(state["critic"], observations, actions)
+
+    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
+        return {"value": Draw("normal", (count, samples, self.action_size))}
+
+    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+        """V(s): the mean of Q_1 over actions sampled from the policy (B,)."""
+        s = observations.unsqueeze(1)
+        actions, _ = sample_squashed(*self.policy(state["actor"], s), noise["value"])
+        return self.critics.first(state["critic"], s, actions).mean(-1)
+
+
+def _sample_several(policy: tuple[Tensor, Tensor], noise: Tensor) -> tuple[Tensor, Tensor]:
+    """Actions (B, n, a) and log densities (B, n) of one policy (B, a) a row, by noise (B, n, a)."""
+    mean, log_std = policy
+    return sample_squashed(mean.unsqueeze(1), log_std.unsqueeze(1), noise)
