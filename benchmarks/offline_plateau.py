@@ -28,7 +28,8 @@ def learner(description: Description, agent: str) -> Learner:
     spec = registry.team_spec(description.env.id)
     dataset = description.dataset
     data = store.load_agent(store.agent_file(dataset.name, agent, dataset.transitions), agent)
-    return Learner(description, spec.agents[spec.index(agent)], data)
+    task = registry.task(description.env.id)
+    return Learner(description, spec.agents[spec.index(agent)], data, task)
 
 
 def train(description: Description, agent: str, folder: Path) -> None:

@@ -43,7 +43,8 @@ def _exercise(description: Description, agent: AgentSpec) -> None:
         "offline.updates=1", "embedding.updates=1", "deployment.updates=1", "deployment.count=1",
         "deployment.transitions=16", "embedding.minimum_active=0",
     )  # fmt: skip
-    learner = Learner(short, agent, _made_up(agent, ROWS))
+    task = registry.task(description.env.id)
+    learner = Learner(short, agent, _made_up(agent, ROWS), task)
     learner.pretrain(_ignore, lambda: None)
     learner.tune(1, _made_up(agent, 16), _ignore)
 

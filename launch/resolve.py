@@ -19,7 +19,7 @@ run_main(lambda argv: print(engine.resolve(argv[0], int(argv[1]))) or 0)
 
 
 def resolve(description: Description) -> Description:
-    """A copy with dataset.transitions, deployment.transitions (M) and engine.name fixed.
+    """A copy with dataset.transitions, M and L (deployment.*) and engine.name fixed.
 
     M is rounded up to a multiple of env.copies, since every copy contributes equally.
 
@@ -37,11 +37,17 @@ def resolve(description: Description) -> Description:
     copies = description.env.copies
     wanted = description.deployment.transitions or description.deployment.fraction * transitions
     deployed = math.ceil(max(wanted, 1) / copies) * copies
-    return description.with_assignments(
+    fixed = description.with_assignments(
         f"dataset.transitions={transitions}",
         f"deployment.transitions={deployed}",
-        f"engine.name={_engine(description)}",
+        f"deployment.updates={tuning_updates(description)}",
     )
+    return fixed.with_assignments(f"engine.name={_engine(fixed)}")
+
+
+def tuning_updates(description: Description) -> int:
+    """L: as described, or the algorithm's of Table 3."""
+    return description.deployment.updates or description.algorithm.tuning_updates
 
 
 def total_updates(description: Description) -> int:

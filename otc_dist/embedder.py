@@ -7,13 +7,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from otc_dist.algorithms.draws import Draws, draw, to_tensors
-from otc_dist.algorithms.interface import State, unpack
+from otc_dist.algorithms.interface import Batch, State, unpack
 from otc_dist.description import EmbeddingSection
 from otc_dist.engine import Engine
 from otc_dist.otc.embedding import Embedding, active_dimensions
-from otc_dist.training import train
+from otc_dist.training import BLOCK, train
 from otc_dist.transitions import RowLayout
 
 CHUNK = 65_536  # rows embedded at once
@@ -26,7 +27,8 @@ class Embedder:
     def __init__(self, section: EmbeddingSection, layout: RowLayout, engine: Engine) -> None:
         self._section, self._layout, self._engine = section, layout, engine
         settings = section.model_dump(exclude={"updates", "batch_size", "minimum_active"})
-        self._embedding = Embedding(layout.observation_size, layout.action_size, **settings)
+        action_size = layout.choices or layout.action_size
+        self._embedding = Embedding(layout.observation_size, action_size, **settings)
         self.state: State | None = None
 
     def train(
@@ -44,9 +46,9 @@ class Embedder:
                 `active_dimensions`.
         """
         embedding, size, updates = self._embedding, self._section.batch_size, self._section.updates
-        initial = embedding.initial_state(random("initial"), unpack(rows.cpu(), self._layout))
+        initial = embedding.initial_state(random("initial"), self._batch(rows.cpu()))
         step = self._engine.fuse(
-            lambda state, rows, draws: embedding.update(state, unpack(rows, self._layout), draws)
+            lambda state, rows, draws: embedding.update(state, self._batch(rows), draws)
         )
 
         def update(state: State, draws: Draws) -> tuple[State, Tensor]:
@@ -65,7 +67,8 @@ class Embedder:
             report(done, named)
 
         state, device = to_tensors(initial, self._engine.device), self._engine.device
-        train(state, self._engine.record(update), draw_block, device, (0, updates), on_block)
+        record = self._engine.record(update)
+        train(state, record, draw_block, device, (0, updates), BLOCK, on_block)
 
     def embed(self, rows: Tensor, out: Tensor) -> None:
         """Write mu of packed rows (N, width) into `out` (N, e); does nothing before `train`."""
@@ -74,8 +77,15 @@ class Embedder:
         with torch.no_grad():
             for first in range(0, len(rows), CHUNK):
                 part = slice(first, first + CHUNK)
-                batch = unpack(rows[part], self._layout)
-                out[part] = self._embedding.embed(self.state, batch)
+                out[part] = self._embedding.embed(self.state, self._batch(rows[part]))
+
+    def _batch(self, rows: Tensor) -> Batch:
+        """Transitions of packed rows; a discrete action is told as a one-hot vector."""
+        batch = unpack(rows, self._layout)
+        if not self._layout.choices:
+            return batch
+        index = batch.action.squeeze(1).long()
+        return batch._replace(action=one_hot(index, self._layout.choices).to(rows.dtype))
 
     def _count_active(self, rows: Tensor) -> int:
         embeddings = torch.empty(len(rows), self._section.size, device=rows.device)

@@ -11,7 +11,7 @@ Everything random is keyed by (seed, agent, purpose, deployment, step or block o
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -21,20 +21,21 @@ import torch
 from numpy.typing import NDArray
 
 from otc_dist import checkpoint
+from otc_dist.action_scale import ActionScale
 from otc_dist.algorithms import create
-from otc_dist.algorithms.draws import Draws, draw, to_tensors
-from otc_dist.algorithms.interface import State, unpack
+from otc_dist.algorithms.draws import draw, to_tensors
+from otc_dist.algorithms.interface import Critic, State, unpack
 from otc_dist.description import Description
 from otc_dist.embedder import Embedder
-from otc_dist.engine import Engine, Update, resolve
+from otc_dist.engine import Engine, resolve
 from otc_dist.errors import UserError
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
-from otc_dist.otc.samplers import Data, Extent, Sampler, Uniform
+from otc_dist.otc.samplers import Data, Extent, Uniform
 from otc_dist.otc.similarity import embedding_similarity, value_similarity
 from otc_dist.randomness import stream
-from otc_dist.spec import AgentSpec
-from otc_dist.training import train
+from otc_dist.spec import AgentSpec, Task
+from otc_dist.trainer import Phase, Trainer, improvements
 from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
 
 SAVE_EVERY = 10_000  # offline updates between two checkpoints
@@ -58,15 +59,26 @@ Report = Callable[[Progress], None]
 class Learner:
     """One agent: its data, its replay buffer, its sampler and its policy, and nobody else's.
 
+    Args:
+        data: B_0.
+        task: what the task asks for, if the environment tells; algorithms that plan need it.
+
     Attributes:
         tuned: k of the policy pi_k it holds; -1 before pi_0.
 
     Raises:
-        UserError: the engine cannot run here.
-        ValueError: data of other sizes than the agent's, or that are not finite.
+        UserError: the engine cannot run here, or the algorithm does not fit the agent.
+        ValueError: data of other sizes than the agent's, that are not finite, or with an action
+            that was not available.
     """
 
-    def __init__(self, description: Description, spec: AgentSpec, data: Transitions) -> None:
+    def __init__(
+        self,
+        description: Description,
+        spec: AgentSpec,
+        data: Transitions,
+        task: Task | None = None,
+    ) -> None:
         self.description, self.spec = description, spec
         self.tuned = -1
         self._agent = spec.name
@@ -76,17 +88,14 @@ class Learner:
         updates = description.offline.updates + deployments.count * deployments.updates
         self._engine = Engine(resolve(description.engine.name, updates))
 
-        low, high = np.array([spec.action_low, spec.action_high], np.float32)
-        self._action_low, self._action_high = low, high
-        self._action_centre: Float32 = (low + high) / np.float32(2)
-        self._action_scale: Float32 = (high - low) / np.float32(2)
-        self._layout = RowLayout(spec.observation_size, spec.action_size)
+        self._scale = ActionScale(spec)
+        self._layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
         online = deployments.count * deployments.transitions
         self._buffer = ReplayBuffer(self._layout, len(data) + online)
 
         algorithm, sampling = description.algorithm, description.sampling
-        self._algorithm = create(algorithm, spec.observation_size, spec.action_size)
-        self._uniform = Uniform(algorithm.batch_size)
+        self._algorithm = create(algorithm, spec, task)
+        self._improvements = improvements(self._algorithm)
         self._sampler = create_sampler(
             sampling, self._algorithm, self._layout, algorithm.batch_size
         )
@@ -100,12 +109,25 @@ class Learner:
             torch.from_numpy(self._buffer.rows).to(device), torch.zeros(capacity, width).to(device)
         )
         self._append(data, offline=True)
-        initial = self._algorithm.initial_state(self._stream("initial"))
+        offline = unpack(torch.from_numpy(self._buffer.rows[: len(data)]), self._layout)
+        initial = self._algorithm.initial_state(self._stream("initial"), offline)
         self._state: State = to_tensors(initial, device)
-        self._step = self._engine.fuse(
+        step = self._engine.fuse(
             lambda state, rows, draws: self._algorithm.update(
                 state, unpack(rows, self._layout), draws
             )
+        )
+        self._offline, self._online = (
+            Trainer(
+                self._algorithm,
+                sampler,
+                step,
+                self._layout,
+                algorithm.batch_size,
+                self._engine,
+                self._stream,
+            )
+            for sampler in (Uniform(algorithm.batch_size), self._sampler)
         )
 
     @property
@@ -119,18 +141,24 @@ class Learner:
         Args:
             save: called every SAVE_EVERY updates, to keep an unfinished state.
         """
-        updates, names = self.description.offline.updates, self._algorithm.metric_names
+        updates = self.description.offline.updates
+        total = updates + self._improvements
 
-        def on_block(state: State, done: int, metrics: list[float]) -> None:
-            self._state, self._offline_updates = state, done
-            report(Progress("offline", 0, done, updates, dict(zip(names, metrics, strict=False))))
-            if done % SAVE_EVERY == 0 and done < updates:
+        def on_block(state: State, done: int, metrics: dict[str, float]) -> None:
+            if done <= updates:
+                self._state, self._offline_updates = state, done
+            report(Progress("offline", 0, done, total, metrics))
+            if (done % SAVE_EVERY == 0 or done == updates) and done < total and done <= updates:
                 save()
 
-        update = self._engine.record(self._update_by(self._uniform))
-        draw_block = self._draw_by(self._uniform, 0, "offline")
-        span = (self._offline_updates, updates)
-        train(self._state, update, draw_block, self._engine.device, span, on_block)
+        if self._offline_updates < total:
+            # Offline training is common to all minibatch keys.
+            phase = Phase("offline", 0, 0, self._alpha.value)
+            span = (self._offline_updates, updates)
+            self._state = self._offline.train(
+                self._state, self._data, self._extent(), phase, span, on_block
+            )
+            self._offline_updates = total
         if self._embedder and self._embedder.state is None:
             total = self.description.embedding.updates
             self._embedder.train(
@@ -158,11 +186,8 @@ class Learner:
         with torch.no_grad():
             draws = {name: array[0] for name, array in to_tensors(noise, device).items()}
             states = torch.tensor(observations, device=device)
-            actions = self._algorithm.act(self._state, states, draws).cpu().numpy()
-        actions = actions * self._action_scale + self._action_centre
-        # Rounding may exceed bounds by a bit.
-        clipped: Float32 = np.clip(actions, self._action_low, self._action_high)
-        return clipped
+            actions: Float32 = self._algorithm.act(self._state, states, draws).cpu().numpy()
+        return self._scale.unscaled(actions)
 
     def tune(self, deployment: int, data: Transitions, report: Report) -> None:
         """Merge D_k, adapt alpha by Eq. 4, and make L updates (lines 5 to 16 of Algorithm 1).
@@ -176,18 +201,18 @@ class Learner:
             raise ValueError(f"cannot tune on deployment {deployment} after {self.tuned}")
         self._append(data, offline=False)
         updates = self.description.deployment.updates
+        total = updates + self._improvements
         measured = self._adapt(deployment) if self.description.sampling.name == "otc" else {}
-        report(Progress("tuning", deployment, 0, updates, measured))
-        names = (*self._algorithm.metric_names, "guarded")
+        report(Progress("tuning", deployment, 0, total, measured))
 
-        def on_block(state: State, done: int, metrics: list[float]) -> None:
-            named = dict(zip(names, metrics, strict=True))
-            report(Progress("tuning", deployment, done, updates, named))
+        def on_block(state: State, done: int, metrics: dict[str, float]) -> None:
+            report(Progress("tuning", deployment, done, total, metrics))
 
-        update = self._engine.record(self._update_by(self._sampler))
-        draw_block = self._draw_by(self._sampler, deployment, "tuning")
-        self._state = train(
-            self._state, update, draw_block, self._engine.device, (0, updates), on_block
+        extent = self._extent()
+        begun = self._sampler.begin(self._state, extent, self._stream("sampler", deployment))
+        phase = Phase("tuning", deployment, self.description.minibatch_key, self._alpha.value)
+        self._state = self._online.train(
+            {**self._state, **begun}, self._data, extent, phase, (0, updates), on_block
         )
         self.tuned = deployment
 
@@ -252,7 +277,7 @@ class Learner:
         self._buffer.append(data, offline=offline)
         end = self._buffer.size
         actions = self._buffer.rows[start:end, self._layout.action]
-        actions[:] = (actions - self._action_centre) / self._action_scale
+        actions[:] = self._scale.scaled(actions)
         if self._engine.device.type != "cpu":  # on the CPU both are the same memory
             self._data.rows[start:end] = torch.from_numpy(self._buffer.rows[start:end])
         self._embed(start, end)
@@ -270,6 +295,7 @@ class Learner:
             if sampling.distance == "embedding":
                 similarity = embedding_similarity(data, extent, sampling, random)
             else:
+                assert isinstance(self._algorithm, Critic)  # the description has seen to it
                 similarity, guarded = value_similarity(
                     self._algorithm, self._state, data, extent, self._layout, sampling, random
                 )
@@ -278,38 +304,6 @@ class Learner:
             if self._alpha.value == sampling.alpha_bound > 0:
                 log.warning("sampling.alpha_bound binds: alpha is %g", self._alpha.value)
         return {"alpha": self._alpha.value, "similarity": similarity, "guarded": guarded}
-
-    def _update_by(self, sampler: Sampler) -> Update:
-        """One update on rows that `sampler` chooses; the choice's `guarded` joins the metrics."""
-        select = self._engine.fuse(sampler.select) if sampler.noise() else sampler.select
-
-        def update(state: State, draws: Draws) -> tuple[State, torch.Tensor]:
-            selection = select(state, sampler.gather(self._data, draws), draws)
-            rows = self._data.rows.index_select(0, selection.rows)
-            state, metrics = self._step(state, rows, draws)
-            return state, torch.cat((metrics, selection.guarded.view(1)))
-
-        return update
-
-    def _draw_by(
-        self, sampler: Sampler, deployment: int, purpose: str
-    ) -> Callable[[int, int], Mapping[str, NDArray[np.generic]]]:
-        wanted = {
-            **self._algorithm.noise(self.description.algorithm.batch_size),
-            **sampler.noise(),
-        }
-        extent = self._extent()
-        # Offline training is common to all minibatch keys.
-        key = self.description.minibatch_key if deployment else 0
-        alpha = np.float32(self._alpha.value)
-
-        def draw_block(block: int, count: int) -> Mapping[str, NDArray[np.generic]]:
-            minibatches = self._stream(f"{purpose}-minibatches", key, deployment, block)
-            noise = self._stream(f"{purpose}-noise", deployment, block)
-            indices = sampler.draw(minibatches, count, extent)
-            return {"alpha": np.full(count, alpha), **indices, **draw(noise, wanted, count)}
-
-        return draw_block
 
     def _progressed(self) -> checkpoint.Progressed:
         return checkpoint.Progressed(

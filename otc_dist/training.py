@@ -10,7 +10,7 @@ from otc_dist.algorithms.draws import to_tensors
 from otc_dist.algorithms.interface import State
 from otc_dist.engine import Update
 
-BLOCK = 100  # updates whose random numbers share one key
+BLOCK = 100  # updates whose random numbers share one key, where an update takes milliseconds
 
 DrawBlock = Callable[[int, int], Mapping[str, NDArray[np.generic]]]
 OnBlock = Callable[[State, int, list[float]], None]
@@ -22,11 +22,13 @@ def train(
     draw_block: DrawBlock,
     device: torch.device,
     span: tuple[int, int],
+    block: int,
     on_block: OnBlock,
 ) -> State:
-    """Updates [start, stop) of `span`; start is a multiple of BLOCK.
+    """Updates [start, stop) of `span`; start is a multiple of `block`.
 
     Args:
+        block: updates whose random numbers share one key.
         draw_block: the random arrays (count, ...) of block b, from (b, count). A function of the
             block's number alone, so that training goes on after an interruption as if none
             had been.
@@ -36,9 +38,9 @@ def train(
     Returns:
         The state after the last update.
     """
-    for first in range(span[0], span[1], BLOCK):
-        count = min(BLOCK, span[1] - first)
-        draws = to_tensors(draw_block(first // BLOCK, count), device)
+    for first in range(span[0], span[1], block):
+        count = min(block, span[1] - first)
+        draws = to_tensors(draw_block(first // block, count), device)
         state, total = update(state, {name: array[0] for name, array in draws.items()})
         total = total.clone()
         for index in range(1, count):

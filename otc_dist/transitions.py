@@ -76,11 +76,13 @@ class Transitions:
 class RowLayout:
     """Where each field lies in a packed float32 row: s | a_i | r | s' | terminated.
 
-    One row is one contiguous gather, instead of five.
+    One row is one contiguous gather, instead of five. With discrete actions (`choices`) the last
+    `choices` entries of s and of s' are masks of the available ones.
     """
 
     observation_size: int
     action_size: int
+    choices: int = 0
 
     @property
     def width(self) -> int:
@@ -113,8 +115,8 @@ class ReplayBuffer:
     Memory is taken once, at construction, for B_0 and all the deployments to come.
 
     Raises:
-        ValueError: more transitions than `capacity`, sizes that are not the layout's, or a value
-            that is not finite.
+        ValueError: more transitions than `capacity`, sizes that are not the layout's, a value
+            that is not finite, or a discrete action that was not available.
     """
 
     def __init__(self, layout: RowLayout, capacity: int) -> None:
@@ -141,6 +143,20 @@ class ReplayBuffer:
         rows[:, layout.terminated] = data.terminated
         if not np.isfinite(rows).all():
             raise ValueError("a transition holds a value that is not finite (NaN or infinity)")
+        if layout.choices:
+            self._check_choices(rows)
         self.newest_start, self.size = self.size, end
         if offline:
             self.offline_size = end
+
+    def _check_choices(self, rows: Float32) -> None:
+        layout, n = self.layout, self.layout.choices
+        available = rows[:, layout.observation][:, -n:] > 0
+        ongoing = rows[:, layout.terminated] == 0
+        offers = (rows[:, layout.next_observation][:, -n:] > 0).any(axis=1)
+        if not (available.any(axis=1) & (offers | ~ongoing)).all():
+            raise ValueError("a mask of actions offers none")
+        action = rows[:, layout.action][:, 0]
+        index = np.clip(action, 0, n - 1).astype(np.int64)
+        if (index != action).any() or not available[np.arange(len(rows)), index].all():
+            raise ValueError(f"an action is none of the available ones of 0 .. {n - 1}")

@@ -15,6 +15,7 @@ from otc_dist.bus.messages import Action, Observation, Status
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
+from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
@@ -56,6 +57,7 @@ class LearnerService:
     def serve(self, data: Transitions) -> None:
         """Train offline on `data`, B_0, then answer until the run is done."""
         self._data = data
+        self._task = registry.task(self._run.team.env_id)
         self._load(self._run.description.deployment.count)
         if self._learner.tuned < 0:
             self._pretrain()
@@ -73,7 +75,7 @@ class LearnerService:
         """A learner with the newest sound checkpoint up to pi_newest; a fresh one if none is."""
         from otc_dist.learner import Learner
 
-        self._learner = Learner(self._run.description, self._agent, self._data)
+        self._learner = Learner(self._run.description, self._agent, self._data, self._task)
         paths = [self._folder.checkpoint(self._name, k) for k in range(newest, -1, -1)]
         for path in [*paths, self._folder.offline_checkpoint(self._name)]:
             if not path.exists():
@@ -84,7 +86,7 @@ class LearnerService:
                 break
             except UserError as error:
                 log.warning("%s; trying an older one", error)
-                self._learner = Learner(self._run.description, self._agent, self._data)
+                self._learner = Learner(self._run.description, self._agent, self._data, self._task)
         self._buffer_complete = self._learner.tuned <= 0
         self._digest = self._learner.policy_digest()
 

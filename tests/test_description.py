@@ -35,17 +35,38 @@ def test_round_trip_through_toml(tmp_path: Path) -> None:
 
 
 def test_the_papers_numbers_are_the_defaults() -> None:
-    """Table 3 and the text, for BCQ."""
     d = minimal()
     assert (d.sampling.candidates, d.sampling.references, d.algorithm.batch_size) == (
         512,
         2000,
         128,
     )
-    assert (d.algorithm.discount, d.algorithm.hidden, d.embedding.size) == (0.99, (64, 64), 10)
-    assert (d.algorithm.actor_learning_rate, d.algorithm.critic_learning_rate) == (1e-4, 1e-4)
-    assert (d.deployment.count, d.deployment.updates, d.deployment.fraction) == (10, 4000, 0.01)
+    assert (d.algorithm.name, d.algorithm.discount, d.embedding.size) == ("bcq", 0.99, 10)
+    assert (d.deployment.count, d.deployment.fraction) == (10, 0.01)
     assert (d.sampling.alpha, d.sampling.adaptive, d.sampling.matching) == (1.0, True, "minibatch")
+
+
+@pytest.mark.parametrize(
+    ("name", "hidden", "updates", "rates"),
+    [
+        ("bcq", (64, 64), 4000, {"actor": 1e-4, "critic": 1e-4}),
+        ("awac", (64, 64), 4000, {"actor": 1e-4, "critic": 5e-4}),
+        ("bremen", (256, 256), 2000, {"actor": 1e-4, "model": 5e-4}),
+        ("cql", (256, 256), 2000, {"actor": 1e-4, "critic": 1e-4}),
+        ("discrete-cql", (256, 256), 2000, {"critic": 1e-4}),
+        ("td3bc", (256, 256), 2000, {"actor": 3e-4, "critic": 3e-4}),
+    ],
+)
+def test_table_3(name: str, hidden: tuple[int, ...], updates: int, rates: dict[str, float]) -> None:
+    algorithm = minimal(f"algorithm.name={name}").algorithm
+    assert (algorithm.hidden, algorithm.tuning_updates) == (hidden, updates)
+    for network, rate in rates.items():
+        assert getattr(algorithm, f"{network}_learning_rate") == rate
+
+
+def test_another_algorithm_brings_its_own_defaults() -> None:
+    large = minimal("algorithm.batch_size=64").with_assignments("algorithm.name=td3bc")
+    assert (large.algorithm.hidden, large.algorithm.batch_size) == ((256, 256), 64)
 
 
 def test_assignments_reach_sections_and_keep_the_rest() -> None:
@@ -64,7 +85,7 @@ MISTAKES = {
     "sampling.distance=valeu": "unknown sampling.distance 'valeu'; did you mean 'value'?",
     "sampling.name=onlineonly": "did you mean 'online-only'?",
     "engine.name=cuda": "did you mean 'cuda-graph'?",
-    "algorithm.name=dqn": "unknown algorithm.name 'dqn'; known: bcq",
+    "algorithm.name=dqn": "unknown algorithm.name 'dqn'; known: awac, bcq, bremen, ",
     "sampling.alpha=-1": "sampling.alpha: input should be greater than or equal to 0, not -1",
     "sampling.alpha=nan": "sampling.alpha: input should be a finite number, not nan",
     "algorithm.critic_learning_rate=inf": "should be a finite number",

@@ -29,7 +29,8 @@ OBSERVATIONS = transitions(7, 3).observations
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks and checkpoints in the proportions of a real run, ten times smaller."""
-    monkeypatch.setattr("otc_dist.training.BLOCK", 10)
+    for user in ("trainer", "embedder"):
+        monkeypatch.setattr(f"otc_dist.{user}.BLOCK", 10)
     monkeypatch.setattr("otc_dist.learner.SAVE_EVERY", 10)
 
 

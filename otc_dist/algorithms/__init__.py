@@ -1,11 +1,41 @@
 """Base algorithms, one file each, behind one interface."""
 
+from collections.abc import Callable
+from typing import Any
+
 from otc_dist.algorithms.bcq import Bcq
 from otc_dist.algorithms.interface import Algorithm
 from otc_dist.description import AlgorithmSection
+from otc_dist.errors import UserError
+from otc_dist.spec import AgentSpec, Task
+
+_ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
+    "bcq": Bcq,
+}
+_PLANNING: dict[str, Callable[..., Algorithm]] = {}  # take the task as well
 
 
-def create(section: AlgorithmSection, observation_size: int, action_size: int) -> Algorithm:
-    """The described algorithm for one agent's sizes."""
+def create(section: AlgorithmSection, spec: AgentSpec, task: Task | None = None) -> Algorithm:
+    """The described algorithm for one agent.
+
+    Raises:
+        UserError: it is for the other kind of actions, or plans and knows no `task`.
+    """
+    if section.discrete != bool(spec.choices):
+        has = f"{spec.choices} discrete actions" if spec.choices else "continuous actions"
+        suited = "'discrete-cql'" if spec.choices else "for example 'bcq'"
+        raise UserError(
+            f"algorithm.name = {section.name!r} does not fit {spec.name}, which has {has};"
+            f" use {suited}"
+        )
+    sizes: dict[str, Any] = {"observation_size": spec.observation_size}
+    sizes["action_size"] = spec.choices or spec.action_size
     settings = section.model_dump(exclude={"name", "batch_size"})
-    return Bcq(observation_size, action_size, **settings)
+    if section.name not in _PLANNING:
+        return _ALGORITHMS[section.name](**sizes, **settings)
+    if task is None:
+        raise UserError(
+            f"algorithm.name = {section.name!r} plans in a model and needs the task's reward"
+            " function, which this environment does not provide; use another algorithm"
+        )
+    return _PLANNING[section.name](task=task, **sizes, **settings)

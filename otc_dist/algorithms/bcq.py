@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
+from otc_dist.algorithms.critics import TwinCritics, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.networks import Mlp, adam, polyak, value_and_gradient
+from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
 
 LATENT_CLIP = 0.5  # decoded actions use z ~ N(0, 1) clipped to +-0.5
 LOG_STD_RANGE = (-4.0, 15.0)
@@ -69,27 +70,15 @@ class Bcq:
         return Mlp((self.observation_size, self.action_size), self.hidden, self.action_size)
 
     @cached_property
-    def critic(self) -> Mlp:
-        return Mlp((self.observation_size, self.action_size), self.hidden, 1, copies=2)
+    def critics(self) -> TwinCritics:
+        return TwinCritics(self.observation_size, self.action_size, self.hidden)
 
-    def initial_state(self, random: np.random.Generator) -> dict[str, np.ndarray]:
-        """Fresh parameters and moments; targets equal their networks.
-
-        Keys: vae (encoder then decoder), critic, actor, each with `_moments` (2, n);
-        critic_target, actor_target; updates (float64 scalar), the number of updates made.
-        """
-        vae = np.concatenate(
-            [self.encoder.initialise(random), self.decoder.initialise(random)], dtype=np.float32
-        )
-        critic = self.critic.initialise(random).astype(np.float32)
-        actor = self.actor.initialise(random).astype(np.float32)
-        moments = {
-            f"{name}_moments": np.zeros((2, len(parameters)), dtype=np.float32)
-            for name, parameters in (("vae", vae), ("critic", critic), ("actor", actor))
-        }
+    def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
+        """Networks vae (encoder then decoder), critic and actor, the last two with targets."""
+        vae = np.concatenate([self.encoder.initialise(random), self.decoder.initialise(random)])
+        critic, actor = self.critics.initialise(random), self.actor.initialise(random)
         networks = {"vae": vae, "critic": critic, "actor": actor}
-        targets = {"critic_target": critic.copy(), "actor_target": actor.copy()}
-        return {**networks, **moments, **targets, "updates": np.zeros((), dtype=np.float64)}
+        return fresh_state(networks, targets=("critic", "actor"))
 
     def noise(self, batch_size: int) -> Mapping[str, Draw]:
         latent, candidates = self.latent_size, self.target_candidates
@@ -104,31 +93,26 @@ class Bcq:
 
         Each part sees the parameters that the part before it has just updated.
         """
-        count = state["updates"] + 1
-        new = dict(state, updates=count)
+        new = dict(state, updates=state["updates"] + 1)
 
-        vae_loss, gradient = value_and_gradient(
-            lambda vae: self.vae_loss(vae, batch, noise["vae"]), state["vae"]
-        )
-        new["vae"], new["vae_moments"] = adam(
-            state["vae"], gradient, state["vae_moments"], count, self.vae_learning_rate
+        new, vae_loss = descend(
+            new, "vae", self.vae_learning_rate, lambda vae: self.vae_loss(vae, batch, noise["vae"])
         )
 
         target = self.target(new, batch, noise["target"])
-        critic_loss, gradient = value_and_gradient(
-            lambda critic: self.critic_loss(critic, batch, target), state["critic"]
-        )
-        new["critic"], new["critic_moments"] = adam(
-            state["critic"], gradient, state["critic_moments"], count, self.critic_learning_rate
+        new, critic_loss = descend(
+            new,
+            "critic",
+            self.critic_learning_rate,
+            lambda critic: self.critics.loss(critic, batch, target),
         )
 
         decoded = self.decode(new["vae"], batch.observation, noise["actor"])
-        actor_loss, gradient = value_and_gradient(
+        new, actor_loss = descend(
+            new,
+            "actor",
+            self.actor_learning_rate,
             lambda actor: self.actor_loss(actor, new["critic"], batch.observation, decoded),
-            state["actor"],
-        )
-        new["actor"], new["actor_moments"] = adam(
-            state["actor"], gradient, state["actor_moments"], count, self.actor_learning_rate
         )
 
         new["critic_target"] = polyak(state["critic_target"], new["critic"], self.target_rate)
@@ -153,22 +137,16 @@ class Bcq:
         """
         s = batch.next_observation.unsqueeze(1)
         actions = self.perturb(state["actor_target"], s, self.decode(state["vae"], s, noise))
-        q = self.critic.apply(state["critic_target"], s, actions).squeeze(-1)
+        q = self.critics.both(state["critic_target"], s, actions)
         mixed = self.soft_minimum * q.amin(0) + (1 - self.soft_minimum) * q.amax(0)
-        return batch.reward + self.discount * (1 - batch.terminated) * mixed.amax(-1)
-
-    def critic_loss(self, critic: Tensor, batch: Batch, target: Tensor) -> Tensor:
-        """Sum over the twins of mean (Q_j(s, a) - y)^2."""
-        q = self.critic.apply(critic, batch.observation, batch.action).squeeze(-1)
-        return ((q - target) ** 2).mean(-1).sum()
+        return td_target(batch, self.discount, mixed.amax(-1))
 
     def actor_loss(
         self, actor: Tensor, critic: Tensor, observations: Tensor, decoded: Tensor
     ) -> Tensor:
         """-mean Q_1(s, a + xi(s, a)) for decoded actions a, through which no gradient flows."""
-        return -self._first_q(
-            critic, observations, self.perturb(actor, observations, decoded)
-        ).mean()
+        actions = self.perturb(actor, observations, decoded)
+        return -self.critics.first(critic, observations, actions).mean()
 
     def decode(self, vae: Tensor, observations: Tensor, noise: Tensor) -> Tensor:
         """Actions decoded from standard normal `noise`, clipped as BCQ does."""
@@ -193,7 +171,7 @@ class Bcq:
         return actions[torch.arange(len(actions), device=actions.device), best]
 
     def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
-        return self._first_q(state["critic"], observations, actions)
+        return self.critics.first(state["critic"], observations, actions)
 
     def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
         return {"value": Draw("normal", (count, samples, self.latent_size))}
@@ -208,8 +186,4 @@ class Bcq:
         """Decoded and perturbed actions (B, n, a) and their Q_1 (B, n)."""
         s = observations.unsqueeze(1)
         actions = self.perturb(state["actor"], s, self.decode(state["vae"], s, noise))
-        return actions, self._first_q(state["critic"], s, actions)
-
-    def _first_q(self, critic: Tensor, observations: Tensor, actions: Tensor) -> Tensor:
-        first = self.critic.first()
-        return first.apply(self.critic.first_parameters(critic), observations, actions).squeeze(-1)
+        return actions, self.critics.first(state["critic"], s, actions)

@@ -18,7 +18,7 @@ Draws = Mapping[str, Tensor]
 class Draw(NamedTuple):
     """A random float32 array that one update needs: its distribution and its shape."""
 
-    kind: Literal["normal", "exponential"]
+    kind: Literal["normal", "exponential", "uniform"]  # standard ones; uniform in [0, 1)
     shape: tuple[int, ...]
 
 
@@ -28,8 +28,13 @@ def draw(
     """The wanted arrays for `count` updates, each (count, *shape)."""
     arrays = {}
     for name, (kind, shape) in wanted.items():
-        sample = random.standard_normal if kind == "normal" else random.standard_exponential
-        arrays[name] = sample((count, *shape), dtype=np.float32)
+        size = (count, *shape)
+        if kind == "normal":
+            arrays[name] = random.standard_normal(size, dtype=np.float32)
+        elif kind == "exponential":
+            arrays[name] = random.standard_exponential(size, dtype=np.float32)
+        else:
+            arrays[name] = random.random(size, dtype=np.float32)
     return arrays
 
 

@@ -6,7 +6,7 @@ compiled, in a CUDA graph, or eagerly, and a test can run them in float64.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from torch import Tensor
@@ -18,7 +18,11 @@ State = dict[str, Tensor]
 
 
 class Batch(NamedTuple):
-    """B transitions of one agent, as tensors. Actions are scaled to [-1, 1]."""
+    """B transitions of one agent, as tensors.
+
+    Continuous actions are scaled to [-1, 1]; a discrete one is its index, and the masks of
+    available actions are the tails of s and s' (`AgentSpec.choices`).
+    """
 
     observation: Tensor  # (B, s)
     action: Tensor  # (B, a)
@@ -46,8 +50,12 @@ class Algorithm(Protocol):
         """Names of the values that `update` returns."""
         ...
 
-    def initial_state(self, random: np.random.Generator) -> dict[str, np.ndarray]:
-        """Fresh parameters, targets, moments and the update counter."""
+    def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
+        """Fresh parameters, targets, moments, the update counter, and statistics of B_0.
+
+        Args:
+            offline: all of B_0, by which inputs are normalised from then on.
+        """
         ...
 
     def noise(self, batch_size: int) -> Mapping[str, Draw]:
@@ -55,7 +63,10 @@ class Algorithm(Protocol):
         ...
 
     def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
-        """One gradient update: the new state, and the values of `metric_names`."""
+        """One gradient update: the new state, and the values of `metric_names`.
+
+        Keys of the state that are not the algorithm's are passed on.
+        """
         ...
 
     def acting_noise(self, copies: int) -> Mapping[str, Draw]:
@@ -63,8 +74,13 @@ class Algorithm(Protocol):
         ...
 
     def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
-        """Deployed actions (E, a) in [-1, 1] for observations (E, s)."""
+        """Deployed actions (E, a) in [-1, 1], or indices (E, 1), for observations (E, s)."""
         ...
+
+
+@runtime_checkable
+class Critic(Protocol):
+    """What an algorithm with a Q offers beside `Algorithm`; d_q needs it."""
 
     def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
         """Q(s, a_i) (B,) of the online critic, without its gradient's sake."""
@@ -76,4 +92,31 @@ class Algorithm(Protocol):
 
     def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
         """V(s) = E_a Q(s, a) (B,) over the policy's actions, by the samples in `noise`."""
+        ...
+
+
+@runtime_checkable
+class Improving(Protocol):
+    """What an algorithm offers whose policy is improved after a phase's updates (BREMEN)."""
+
+    @property
+    def improvements(self) -> int:
+        """Improvement steps after the updates of a phase."""
+        ...
+
+    @property
+    def improvement_metric_names(self) -> tuple[str, ...]:
+        """Names of the values that `improve` returns."""
+        ...
+
+    def begin_improvement(self, state: State) -> State:
+        """The state in which the first improvement of a phase finds the policy."""
+        ...
+
+    def improvement_noise(self, batch_size: int) -> Mapping[str, Draw]:
+        """The random arrays that one `improve` from a batch of this size needs."""
+        ...
+
+    def improve(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+        """One improvement from the states of a batch, and `improvement_metric_names`' values."""
         ...

@@ -140,9 +140,10 @@ def _selected(
     """All rows of one agent, on the same minibatches."""
     sampling, batch = description.sampling, description.algorithm.batch_size
     ways = _ways(description, specimen, pool)
+    assert specimen.critic is not None
     wanted = {
-        **specimen.algorithm.value_noise(sampling.candidates, sampling.value_samples),
-        **Otc(specimen.algorithm, specimen.layout, sampling, batch).noise(),
+        **specimen.critic.value_noise(sampling.candidates, sampling.value_samples),
+        **Otc(specimen.critic, specimen.layout, sampling, batch).noise(),
     }
     alpha = torch.tensor(sampling.alpha, dtype=torch.float32)
     newest = np.arange(pool.size, len(pool.mismatch))
@@ -178,12 +179,10 @@ def _ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str,
 
     def otc(*assignments: str) -> Distances:
         section = description.with_assignments(*assignments).sampling
-        sampler = Otc(
-            specimen.algorithm, specimen.layout, section, description.algorithm.batch_size
-        )
+        sampler = Otc(specimen.critic, specimen.layout, section, description.algorithm.batch_size)
 
         def distances(draws: Draws) -> Tensor:
-            gathered = sampler.gather(pool.data, draws)
+            gathered = sampler.gather(specimen.state, pool.data, draws)
             return sampler.distances(specimen.state, gathered, draws)[0]
 
         return distances

@@ -109,7 +109,8 @@ def _learner(description: Description, agent: str) -> Learner:
     spec = registry.team_spec(description.env.id)
     dataset = description.dataset
     path = store.agent_file(dataset.name, agent, dataset.transitions)
-    return Learner(description, spec.agents[spec.index(agent)], store.load_agent(path, agent))
+    data, task = store.load_agent(path, agent), registry.task(description.env.id)
+    return Learner(description, spec.agents[spec.index(agent)], data, task)
 
 
 def _deploy_and_tune(

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from otc_dist import checkpoint
+from otc_dist.action_scale import ActionScale
 from otc_dist.algorithms import create
 from otc_dist.algorithms.draws import Draw, Draws, draw, to_tensors
-from otc_dist.algorithms.interface import State, unpack
+from otc_dist.algorithms.interface import Critic, State, unpack
 from otc_dist.description import Description
 from otc_dist.embedder import Embedder
 from otc_dist.engine import Engine
+from otc_dist.envs import registry
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
 
@@ -35,23 +37,22 @@ class Specimen:
         for name, array in arrays.items():
             part, _, key = name.partition(".")
             parts[part][key] = array
-        self.layout = RowLayout(spec.observation_size, spec.action_size)
-        self.algorithm = create(description.algorithm, spec.observation_size, spec.action_size)
+        self.layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
+        self.algorithm = create(description.algorithm, spec, registry.task(description.env.id))
+        self.critic = self.algorithm if isinstance(self.algorithm, Critic) else None
         engine = Engine("eager")
         self.state: State = to_tensors(parts["algorithm"], engine.device)
         self._embedder = Embedder(description.embedding, self.layout, engine)
         self._embedder.state = to_tensors(parts["embedding"], engine.device)
         self._embedding_size = description.embedding.size
-        low, high = np.array([spec.action_low, spec.action_high], np.float32)
-        self._centre: Float32 = (low + high) / np.float32(2)
-        self._scale: Float32 = (high - low) / np.float32(2)
+        self._scale = ActionScale(spec)
 
     def rows(self, data: Transitions) -> Tensor:
         """Packed rows (N, width), as in the agent's replay buffer: actions scaled to [-1, 1]."""
         buffer = ReplayBuffer(self.layout, len(data))
         buffer.append(data, offline=True)
-        scaled = (buffer.rows[:, self.layout.action] - self._centre) / self._scale
-        buffer.rows[:, self.layout.action] = scaled
+        actions = buffer.rows[:, self.layout.action]
+        actions[:] = self._scale.scaled(actions)
         return torch.from_numpy(buffer.rows)
 
     def embeddings(self, rows: Tensor) -> Tensor:
@@ -63,7 +64,7 @@ class Specimen:
     def recorded(self, rows: Tensor) -> Float32:
         """The rows' own actions (N, a), in the environment's units."""
         scaled: Float32 = rows[:, self.layout.action].numpy()
-        return scaled * self._scale + self._centre
+        return self._scale.unscaled(scaled)
 
     def act(self, rows: Tensor, random: np.random.Generator) -> Float32:
         """Actions (N, a), in the environment's units, of its policy in the rows' states."""
@@ -72,18 +73,20 @@ class Specimen:
             return self.algorithm.act(self.state, unpack(part, self.layout).observation, noise)
 
         actions = _in_chunks(rows, self.algorithm.acting_noise, random, answer)
-        return actions.numpy() * self._scale + self._centre
+        return self._scale.unscaled(actions.numpy())
 
     def next_values(self, rows: Tensor, random: np.random.Generator) -> Tensor:
         """V(s') (N,), 0 at a terminal s'."""
+        critic = self.critic
+        assert critic is not None
 
         def value(part: Tensor, noise: Draws) -> Tensor:
             batch = unpack(part, self.layout)
-            values = self.algorithm.value(self.state, batch.next_observation, noise)
+            values = critic.value(self.state, batch.next_observation, noise)
             return torch.where(batch.terminated > 0, 0.0, values)
 
         return _in_chunks(
-            rows, lambda count: self.algorithm.value_noise(count, VALUE_SAMPLES), random, value
+            rows, lambda count: critic.value_noise(count, VALUE_SAMPLES), random, value
         )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from otc_dist.envs import robot_specs
 from otc_dist.envs.base import BatchedEnv
 from otc_dist.errors import unknown
-from otc_dist.spec import TeamSpec
+from otc_dist.spec import Task, TeamSpec
 
 
 @dataclass(frozen=True)
@@ -60,6 +60,12 @@ def make(env_id: str, copies: int) -> BatchedEnv:
         ValueError: fewer than one copy.
     """
     return _family(env_id).make(env_id, copies)
+
+
+def task(env_id: str) -> Task | None:
+    """Reward and termination as one agent can tell them; None if the task does not say."""
+    del env_id
+    return None
 
 
 def normalised_score(env_id: str, returns: float) -> float | None:

@@ -1,6 +1,6 @@
 """Online transition correction: distances, matching, prioritization, adaptive alpha, samplers."""
 
-from otc_dist.algorithms.interface import Algorithm
+from otc_dist.algorithms.interface import Algorithm, Critic
 from otc_dist.description import SamplingSection
 from otc_dist.otc.samplers import Otc, Sampler, Uniform
 from otc_dist.transitions import RowLayout
@@ -11,5 +11,6 @@ def create_sampler(
 ) -> Sampler:
     """The described sampling strategy."""
     if section.name == "otc":
-        return Otc(algorithm, layout, section, batch_size)
+        critic = algorithm if isinstance(algorithm, Critic) else None
+        return Otc(critic, layout, section, batch_size)
     return Uniform(batch_size, online_only=section.name == "online-only")

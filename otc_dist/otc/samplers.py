@@ -6,7 +6,9 @@ Gathering stays apart because a compiler that fuses it into the distance computa
 buffer at random once for every pair: ten times slower.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.interface import Algorithm, State, unpack
+from otc_dist.algorithms.interface import Critic, State, unpack
 from otc_dist.description import SamplingSection
 from otc_dist.otc.distances import match_values, nearest_l1, next_state_distance
 from otc_dist.otc.prioritization import prioritize
@@ -38,10 +40,11 @@ class Data(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """Chosen row numbers (batch,), and how many normalisers were guarded (float scalar)."""
+    """What one update is given, and what choosing it changed."""
 
-    rows: Tensor
-    guarded: Tensor
+    rows: Tensor  # chosen row numbers (batch,)
+    guarded: Tensor  # how many normalisers were guarded (float scalar)
+    changed: Mapping[str, Tensor] = MappingProxyType({})  # entries of the state, if it learns
 
 
 Indices = dict[str, NDArray[np.int64]]
@@ -49,7 +52,7 @@ Gathered = dict[str, Tensor]
 
 
 class Sampler(Protocol):
-    """A sampling strategy."""
+    """A sampling strategy. What one learns lies in the brain's state, under keys `sampler_*`."""
 
     def noise(self) -> dict[str, Draw]:
         """The random arrays that one `select` needs beside its indices."""
@@ -59,7 +62,11 @@ class Sampler(Protocol):
         """Row numbers for `updates` updates, each array (updates, n)."""
         ...
 
-    def gather(self, data: Data, draws: Draws) -> Gathered:
+    def begin(self, state: State, extent: Extent, random: np.random.Generator) -> State:
+        """The sampler's entries of the state when D_k has been merged, before its L updates."""
+        ...
+
+    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
         """What `select` looks at of the rows that one update drew."""
         ...
 
@@ -82,7 +89,10 @@ class Uniform:
         start = extent.offline if self.online_only else 0
         return {"batch": random.integers(start, extent.size, (updates, self.batch_size))}
 
-    def gather(self, data: Data, draws: Draws) -> Gathered:
+    def begin(self, state: State, extent: Extent, random: np.random.Generator) -> State:
+        return {}
+
+    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
         return {}
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
@@ -98,7 +108,7 @@ class Otc:
     (distance 0) unless `settings.exclude_self`.
     """
 
-    algorithm: Algorithm
+    critic: Critic | None
     layout: RowLayout
     settings: SamplingSection
     batch_size: int
@@ -107,9 +117,14 @@ class Otc:
         draws = {"priority": Draw("exponential", (self.settings.candidates,))}
         if self.settings.distance == "value":
             draws.update(
-                self.algorithm.value_noise(self.settings.candidates, self.settings.value_samples)
+                self._critic.value_noise(self.settings.candidates, self.settings.value_samples)
             )
         return draws
+
+    @property
+    def _critic(self) -> Critic:
+        assert self.critic is not None  # a description without a Q does not ask for d_q
+        return self.critic
 
     def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         newest = np.arange(extent.newest, extent.size)
@@ -122,7 +137,10 @@ class Otc:
             "references": shuffled[:, :references],
         }
 
-    def gather(self, data: Data, draws: Draws) -> Gathered:
+    def begin(self, state: State, extent: Extent, random: np.random.Generator) -> State:
+        return {}
+
+    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
         source = data.embeddings if self.settings.distance == "embedding" else data.rows
         return {name: source.index_select(0, draws[name]) for name in ("candidates", "references")}
 
@@ -146,8 +164,8 @@ class Otc:
             return nearest, nearest.new_zeros(())
         batch, online = unpack(candidates, self.layout), unpack(references, self.layout)
         matches = match_values(
-            self.algorithm.q(state, batch.observation, batch.action),
-            self.algorithm.q(state, online.observation, online.action),
+            self._critic.q(state, batch.observation, batch.action),
+            self._critic.q(state, online.observation, online.action),
             ids,
         )
         # Both values by the same noise: less noise in their difference.
@@ -159,4 +177,4 @@ class Otc:
 
     def _values(self, state: State, states: Tensor, terminated: Tensor, draws: Draws) -> Tensor:
         """V(s') (B,), 0 at a terminal s'."""
-        return torch.where(terminated > 0, 0.0, self.algorithm.value(state, states, draws))
+        return torch.where(terminated > 0, 0.0, self._critic.value(state, states, draws))

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from otc_dist.algorithms.draws import draw, to_tensors
-from otc_dist.algorithms.interface import Algorithm, Batch, State, unpack
+from otc_dist.algorithms.interface import Batch, Critic, State, unpack
 from otc_dist.description import SamplingSection
 from otc_dist.otc.distances import match_values, nearest_l1, next_state_distance
 from otc_dist.otc.samplers import Data, Extent
@@ -35,7 +35,7 @@ def embedding_similarity(
 
 
 def value_similarity(
-    algorithm: Algorithm,
+    critic: Critic,
     state: State,
     data: Data,
     extent: Extent,
@@ -48,8 +48,8 @@ def value_similarity(
     q, values = [], []
     for part in torch.split(rows, CHUNK):
         batch = unpack(part, layout)
-        q.append(algorithm.q(state, batch.observation, batch.action))
-        values.append(_next_values(algorithm, state, batch, settings.value_samples, random))
+        q.append(critic.q(state, batch.observation, batch.action))
+        values.append(_next_values(critic, state, batch, settings.value_samples, random))
     all_q, all_values = torch.cat(q), torch.cat(values)
     ids = None
     if settings.exclude_self:
@@ -63,11 +63,11 @@ def value_similarity(
 
 
 def _next_values(
-    algorithm: Algorithm, state: State, batch: Batch, samples: int, random: np.random.Generator
+    critic: Critic, state: State, batch: Batch, samples: int, random: np.random.Generator
 ) -> Tensor:
     """V(s') (B,), 0 at a terminal s'."""
-    wanted = algorithm.value_noise(len(batch.reward), samples)
+    wanted = critic.value_noise(len(batch.reward), samples)
     noise = to_tensors(draw(random, wanted, 1), batch.reward.device)
     noise = {name: array[0] for name, array in noise.items()}
-    values = algorithm.value(state, batch.next_observation, noise)
+    values = critic.value(state, batch.next_observation, noise)
     return torch.where(batch.terminated > 0, 0.0, values)

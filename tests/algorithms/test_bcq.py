@@ -57,10 +57,11 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
 ) -> None:
     random = np.random.default_rng(0)
     bcq = make(s, a, hidden)
-    state = double(bcq.initial_state(random))
+    state = double(bcq.initial_state(random, random_batch(random, s, a)))
     # Other targets than networks, so that a mistaken use of either shows.
     for name in ("critic", "actor"):
-        state[f"{name}_target"] = double(bcq.initial_state(random))[name]
+        other = bcq.initial_state(random, random_batch(random, s, a))
+        state[f"{name}_target"] = double(other)[name]
     plain = references.Bcq(s, a, hidden, actor_rate=3e-4, critic_rate=5e-4, vae_rate=1e-3, tau=0.05)
     plain.load(state)
     for _ in range(UPDATES):
@@ -85,7 +86,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
 def test_update_leaves_its_arguments_alone() -> None:
     random = np.random.default_rng(1)
     bcq = make(4, 2, (8, 8))
-    state = double(bcq.initial_state(random))
+    state = double(bcq.initial_state(random, random_batch(random, 4, 2)))
     before = {name: tensor.clone() for name, tensor in state.items()}
     new, _ = bcq.update(state, random_batch(random, 4, 2), first(draw(random, bcq.noise(BATCH), 1)))
     for name, tensor in before.items():
@@ -96,7 +97,7 @@ def test_update_leaves_its_arguments_alone() -> None:
 def test_target_at_a_terminal_state_is_the_reward() -> None:
     random = np.random.default_rng(2)
     bcq = make(4, 2, (8, 8))
-    state = double(bcq.initial_state(random))
+    state = double(bcq.initial_state(random, random_batch(random, 4, 2)))
     batch = random_batch(random, 4, 2)._replace(terminated=torch.ones(BATCH).double())
     noise = first(draw(random, bcq.noise(BATCH), 1))
     assert torch.equal(bcq.target(state, batch, noise["target"]), batch.reward)
@@ -105,7 +106,7 @@ def test_target_at_a_terminal_state_is_the_reward() -> None:
 def test_actions_stay_within_bounds() -> None:
     random = np.random.default_rng(3)
     bcq = make(4, 2, (8, 8))
-    state = double(bcq.initial_state(random))
+    state = double(bcq.initial_state(random, random_batch(random, 4, 2)))
     state["vae"] = state["vae"] * 50  # saturates the decoder
     state["actor"] = state["actor"] * 50
     states = torch.from_numpy(random.standard_normal((64, 4)))

@@ -8,10 +8,11 @@ import pytest
 import torch
 from scipy import stats
 
-from otc_dist.algorithms import create
+from otc_dist.algorithms.bcq import Bcq
 from otc_dist.algorithms.draws import Draws, draw
-from otc_dist.algorithms.interface import Algorithm, State, unpack
-from otc_dist.description import AlgorithmSection, SamplingSection
+from otc_dist.algorithms.interface import State, unpack
+from otc_dist.description import SamplingSection
+from otc_dist.description.algorithms import BcqSection
 from otc_dist.otc import create_sampler
 from otc_dist.otc.samplers import Data, Extent, Otc
 from otc_dist.otc.similarity import embedding_similarity, value_similarity
@@ -22,7 +23,7 @@ from .. import references
 S, A, BATCH = 5, 2, 16
 LAYOUT = RowLayout(S, A)
 EXTENT = Extent(offline=300, newest=360, size=400)  # D_1 is [300, 360), D_2 is [360, 400)
-ALGORITHM: Algorithm = create(AlgorithmSection(hidden=(16, 16)), S, A)
+ALGORITHM = Bcq(S, A, **BcqSection(hidden=(16, 16)).model_dump(exclude={"name", "batch_size"}))
 STRATEGIES = [
     *product(["embedding"], ["relative"], [False, True], [False, True]),
     *product(["value"], ["relative", "shared", "paper"], [False, True], [False, True]),
@@ -46,7 +47,7 @@ def held(seed: int = 0) -> Data:
 
 
 def state(seed: int = 0) -> State:
-    initial = ALGORITHM.initial_state(np.random.default_rng(seed))
+    initial = ALGORITHM.initial_state(np.random.default_rng(seed), unpack(held().rows, LAYOUT))
     return {name: torch.from_numpy(np.array(x, np.float64)) for name, x in initial.items()}
 
 
@@ -113,7 +114,7 @@ def test_otc_chooses_what_plain_loops_choose(
     for seed, alpha in enumerate([0.0, 1.0, 2.5]):
         draws = one_update(sampler, seed, alpha)
         with torch.no_grad():
-            gathered = sampler.gather(data, draws)
+            gathered = sampler.gather(weights, data, draws)
             distances, _ = sampler.distances(weights, gathered, draws)
             chosen = sampler.select(weights, gathered, draws).rows
         candidates, online = draws["candidates"].numpy(), draws["references"].numpy()
@@ -158,7 +159,7 @@ def test_terminal_next_states_have_value_zero() -> None:
     sampler = Otc(ALGORITHM, LAYOUT, settings(distance="value"), BATCH)
     draws = one_update(sampler, 0, 1.0)
     with torch.no_grad():
-        distances, guarded = sampler.distances(state(), sampler.gather(data, draws), draws)
+        distances, guarded = sampler.distances(state(), sampler.gather({}, data, draws), draws)
     assert torch.equal(distances, torch.zeros(64).double())
     assert guarded == 64
 
@@ -171,7 +172,7 @@ def test_online_transitions_match_themselves_unless_excluded(distance: str) -> N
         draws = one_update(sampler, 0, 1.0)
         own = draws["candidates"] >= EXTENT.newest
         with torch.no_grad():
-            distances, _ = sampler.distances(state(), sampler.gather(data, draws), draws)
+            distances, _ = sampler.distances(state(), sampler.gather({}, data, draws), draws)
         assert own.any()
         assert bool((distances[own] == 0).all()) is expected
 
@@ -185,7 +186,7 @@ def test_uniform_covers_all_and_online_only_covers_the_online_data() -> None:
         assert counts[:first].sum() == 0 and len(counts) == 400
         assert stats.chisquare(counts[first:]).pvalue > 1e-3
         one = {"batch": torch.from_numpy(draws["batch"][0])}
-        selection = sampler.select(state(), sampler.gather(held(), one), one)
+        selection = sampler.select(state(), sampler.gather({}, held(), one), one)
         assert torch.equal(selection.rows, one["batch"]) and selection.guarded == 0
 
 

@@ -1,0 +1,9 @@
+"""The launch description: everything a run depends on."""
+
+from otc_dist.description.algorithms import AlgorithmSection as AlgorithmSection
+from otc_dist.description.description import Description as Description
+from otc_dist.description.sections import DistanceName as DistanceName
+from otc_dist.description.sections import EmbeddingSection as EmbeddingSection
+from otc_dist.description.sections import EngineName as EngineName
+from otc_dist.description.sections import NormaliserName as NormaliserName
+from otc_dist.description.sections import SamplingSection as SamplingSection

@@ -1,0 +1,118 @@
+"""The algorithm's section of a launch description: one class for each base algorithm.
+
+Hidden sizes and learning rates are those of Table 3 of the OTC paper; the rest follows the
+algorithms' own papers and code, as named in `otc_dist/algorithms/`.
+"""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, PositiveInt
+
+from otc_dist.description.section import Section
+
+
+class CommonSection(Section):
+    """What every base algorithm has.
+
+    Attributes:
+        tuning_updates: L, updates after each deployment (Table 3).
+        has_q: whether d_q can be used.
+        discrete: whether it is for discrete actions, otherwise for continuous ones.
+    """
+
+    tuning_updates: ClassVar[int]
+    has_q: ClassVar[bool] = True
+    discrete: ClassVar[bool] = False
+
+    batch_size: int = Field(default=128, ge=1)
+    discount: float = Field(default=0.99, ge=0, lt=1)
+
+
+class SmallSection(CommonSection):
+    """Table 3's networks of 64 and 64."""
+
+    tuning_updates: ClassVar[int] = 4000
+
+    hidden: tuple[PositiveInt, ...] = Field(
+        default=(64, 64), description="hidden layers of every network"
+    )
+    target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+
+
+class LargeSection(CommonSection):
+    """Table 3's networks of 256 and 256."""
+
+    tuning_updates: ClassVar[int] = 2000
+
+    hidden: tuple[PositiveInt, ...] = Field(
+        default=(256, 256), description="hidden layers of every network"
+    )
+
+
+class BcqSection(SmallSection):
+    """BCQ. What Table 3 leaves open is as in its authors' code."""
+
+    name: Literal["bcq"] = "bcq"
+    actor_learning_rate: float = Field(default=1e-4, gt=0)
+    critic_learning_rate: float = Field(default=1e-4, gt=0)
+    vae_learning_rate: float = Field(
+        default=1e-3, gt=0, description="not in Table 3: BCQ's own code"
+    )
+    target_candidates: int = Field(default=10, ge=1, description="actions decoded for a target")
+    acting_candidates: int = Field(default=100, ge=1, description="actions decoded to act")
+    perturbation: float = Field(default=0.05, ge=0, description="phi, in units of the action bound")
+    soft_minimum: float = Field(
+        default=0.75, ge=0, le=1, description="weight of min in 0.75 min + 0.25 max"
+    )
+
+
+class AwacSection(SmallSection):
+    """AWAC."""
+
+    name: Literal["awac"] = "awac"
+    actor_learning_rate: float = Field(default=1e-4, gt=0)
+    critic_learning_rate: float = Field(default=5e-4, gt=0)
+
+
+class CqlSection(LargeSection):
+    """CQL for continuous actions."""
+
+    name: Literal["cql"] = "cql"
+    actor_learning_rate: float = Field(default=1e-4, gt=0)
+    critic_learning_rate: float = Field(default=1e-4, gt=0)
+    target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+
+
+class DiscreteCqlSection(LargeSection):
+    """CQL for discrete actions."""
+
+    discrete: ClassVar[bool] = True
+
+    name: Literal["discrete-cql"] = "discrete-cql"
+    critic_learning_rate: float = Field(default=1e-4, gt=0)
+    target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+
+
+class Td3BcSection(LargeSection):
+    """TD3+BC."""
+
+    name: Literal["td3bc"] = "td3bc"
+    actor_learning_rate: float = Field(default=3e-4, gt=0)
+    critic_learning_rate: float = Field(default=3e-4, gt=0)
+    target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+
+
+class BremenSection(LargeSection):
+    """BREMEN. It has no Q, hence no d_q."""
+
+    has_q: ClassVar[bool] = False
+
+    name: Literal["bremen"] = "bremen"
+    actor_learning_rate: float = Field(default=1e-4, gt=0)
+    model_learning_rate: float = Field(default=5e-4, gt=0)
+
+
+AlgorithmSection = Annotated[
+    BcqSection | AwacSection | CqlSection | DiscreteCqlSection | Td3BcSection | BremenSection,
+    Field(discriminator="name"),
+]

@@ -1,0 +1,79 @@
+"""`section.key=value` assignments, and one clear line for what is wrong with a description."""
+
+import re
+import tomllib
+from typing import get_args
+
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
+
+from otc_dist.description.algorithms import AlgorithmSection
+from otc_dist.errors import UserError, unknown
+
+_UNION = "algorithm"  # the one section whose keys depend on a name in it
+
+
+def assign(data: dict[str, object], assignment: str) -> None:
+    """Write the value of `section.key=value` into nested dictionaries; UserError if it is none."""
+    path, equals, text = assignment.partition("=")
+    *sections, key = path.strip().split(".")
+    if not equals or not key:
+        raise UserError(f"--set {assignment!r}: write section.key=value, like sampling.alpha=0.5")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()  # a bare word is a string
+    target = data
+    for section in sections:
+        below = target.get(section, {})
+        if not isinstance(below, dict):
+            raise UserError(f"--set {assignment!r}: {section!r} is a value, not a section")
+        target[section] = below = dict(below)
+        target = below
+    target[key] = value
+
+
+def explain(root: type[BaseModel], problem: ErrorDetails, source: str) -> UserError:
+    """One line for a validation error of `root`, with the nearest known name if one is unknown."""
+    *sections, key = _location(problem) or [""]
+    where = ".".join([*sections, key])
+    if problem["type"] == "extra_forbidden":
+        known = _fields(root, problem)
+        return UserError(
+            f"{source}: {unknown('key', where, ['.'.join([*sections, k]) for k in known])}"
+        )
+    if problem["type"] == "literal_error":
+        known = re.findall(r"'([^']*)'", problem.get("ctx", {}).get("expected", ""))
+        return UserError(f"{source}: {unknown(where, str(problem['input']), known)}")
+    if problem["type"] == "union_tag_invalid":
+        context = problem.get("ctx", {})
+        known = re.findall(r"'([^']*)'", context.get("expected_tags", ""))
+        return UserError(f"{source}: {unknown(where + '.name', str(context['tag']), known)}")
+    if problem["type"] == "missing":
+        return UserError(f"{source}: {where} is missing; every description needs it")
+    message = problem["msg"].removeprefix("Value error, ")
+    given = f", not {problem['input']!r}" if key and problem["type"] != "value_error" else ""
+    message = message[0].lower() + message[1:]
+    return UserError(f"{source}: {where + ': ' if where else ''}{message}{given}")
+
+
+def _location(problem: ErrorDetails) -> list[str]:
+    """Section and key, without the algorithm's name, which pydantic puts between them."""
+    location = [str(part) for part in problem["loc"]]
+    return location[:1] + location[2:] if location[:1] == [_UNION] and location[1:] else location
+
+
+def _fields(root: type[BaseModel], problem: ErrorDetails) -> list[str]:
+    """Keys of the section that holds the unknown one."""
+    *sections, _ = [str(part) for part in problem["loc"]]
+    model = root
+    for section in sections:
+        if section == _UNION:
+            members = get_args(get_args(AlgorithmSection)[0])
+            model = next(m for m in members if m.model_fields["name"].default == sections[1])
+            break
+        annotation = model.model_fields[section].annotation
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            return []
+        model = annotation
+    return list(model.model_fields)

@@ -1,0 +1,123 @@
+"""The launch description: everything a run depends on, typed, validated, TOML in and out.
+
+The same description and seed give the same run, to the byte.
+"""
+
+import hashlib
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Self
+
+import tomli_w
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from otc_dist.description.algorithms import AlgorithmSection, BcqSection
+from otc_dist.description.assignments import assign, explain
+from otc_dist.description.section import Section
+from otc_dist.description.sections import (
+    BusSection,
+    DatasetSection,
+    DeploymentSection,
+    EmbeddingSection,
+    EngineSection,
+    EnvSection,
+    EvaluationSection,
+    OfflineSection,
+    SamplingSection,
+)
+from otc_dist.errors import UserError
+
+
+class Description(Section):
+    """A whole run. `launch/*.toml` are descriptions; the run folder keeps the resolved one."""
+
+    name: str
+    summary: str = ""
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    minibatch_key: int = Field(default=0, ge=0, description="other minibatches while tuning")
+    env: EnvSection
+    dataset: DatasetSection
+    algorithm: AlgorithmSection = BcqSection()
+    embedding: EmbeddingSection = EmbeddingSection()
+    sampling: SamplingSection = SamplingSection()
+    offline: OfflineSection = OfflineSection()
+    deployment: DeploymentSection = DeploymentSection()
+    evaluation: EvaluationSection = EvaluationSection()
+    engine: EngineSection = EngineSection()
+    bus: BusSection = BusSection()
+
+    @field_validator("algorithm", mode="before")
+    @classmethod
+    def _named(cls, section: object) -> object:
+        """A section that names no algorithm is BCQ's."""
+        return {"name": "bcq", **section} if isinstance(section, dict) else section
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        batch, sampling = self.algorithm.batch_size, self.sampling
+        if sampling.name == "otc" and sampling.distance == "value" and not self.algorithm.has_q:
+            raise ValueError(
+                f"sampling.distance = 'value' needs a Q, and {self.algorithm.name} has none;"
+                " use 'embedding'"
+            )
+        if sampling.name == "otc" and not batch <= sampling.candidates:
+            raise ValueError(
+                f"algorithm.batch_size ({batch}) must not exceed sampling.candidates"
+                f" ({sampling.candidates}), from which it is drawn"
+            )
+        return self
+
+    @classmethod
+    def load(cls, path: Path, assignments: Iterable[str] = ()) -> Self:
+        """Read a TOML file and apply `section.key=value` assignments.
+
+        Raises:
+            UserError: the file is missing, is no TOML, or holds an unknown key or a bad value.
+        """
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise UserError(f"cannot read the description {path}: {error.strerror}") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise UserError(f"{path} is not valid TOML: {error}") from None
+        return cls.build(data, assignments, source=str(path))
+
+    @classmethod
+    def build(
+        cls, data: dict[str, object], assignments: Iterable[str] = (), source: str = "description"
+    ) -> Self:
+        """Validate `data` after `section.key=value` assignments; errors as in `load`."""
+        merged: dict[str, object] = dict(data)
+        for assignment in assignments:
+            assign(merged, assignment)
+        try:
+            return cls.model_validate(merged)
+        except ValidationError as error:
+            raise explain(cls, error.errors()[0], source) from None
+
+    def with_assignments(self, *assignments: str) -> Self:
+        """A copy with `section.key=value` assignments applied; errors as in `load`.
+
+        With another `algorithm.name` the section keeps what is not the old algorithm's default.
+        """
+        data = self.model_dump(mode="json")
+        changed = self.algorithm.model_dump(mode="json", exclude_defaults=True)
+        data["algorithm"] = {"name": self.algorithm.name, **changed}
+        return self.build(data, assignments)
+
+    def to_toml(self) -> str:
+        return tomli_w.dumps(self.model_dump(mode="json"))
+
+    def digest(self) -> str:
+        """Identifies the description: 16 hexadecimal digits of its canonical form's hash."""
+        return _hash(self.model_dump_json())
+
+    def offline_digest(self) -> str:
+        """Identifies what the offline policy pi_0 depends on, as `digest` does the whole."""
+        parts = {"seed", "dataset", "algorithm", "embedding", "offline", "engine"}
+        return _hash(self.model_dump_json(include=parts) + self.env.id)
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,113 @@
+"""The sections of a launch description, but for the algorithm's: one class each."""
+
+from typing import Literal
+
+from pydantic import Field, PositiveInt
+
+from otc_dist.description.section import Section
+
+EngineName = Literal["auto", "compiled", "cuda-graph", "eager"]
+SamplingName = Literal["otc", "uniform", "online-only"]
+DistanceName = Literal["embedding", "value"]
+NormaliserName = Literal["relative", "shared", "paper"]
+
+
+class EnvSection(Section):
+    """The task, and how many copies of it the env host steps together."""
+
+    id: str = Field(description="environment, for example hopper-3x1")
+    copies: int = Field(default=4, ge=1, description="E, environment copies stepping together")
+
+
+class DatasetSection(Section):
+    """The offline data B_0 of every agent."""
+
+    name: str = Field(description="B_0, for example hopper-3x1/medium-replay")
+    transitions: int = Field(
+        default=0, ge=0, description="size of B_0; 0: the data set's usual size"
+    )
+
+
+class EmbeddingSection(Section):
+    """The conditional VAE of the embedding distance d_e, trained on B_0 only, then frozen."""
+
+    size: int = Field(default=10, ge=1, description="latent dimension (Table 3)")
+    hidden: tuple[PositiveInt, ...] = Field(default=(64, 64))
+    updates: int = Field(default=10_000, ge=1)
+    batch_size: int = Field(default=256, ge=1)
+    learning_rate: float = Field(default=1e-3, gt=0)
+    kl_weight: float = Field(default=1e-6, ge=0, description="small, or the latent collapses")
+    minimum_active: int = Field(
+        default=4, ge=0, description="warn below this many active dimensions"
+    )
+
+
+class SamplingSection(Section):
+    """How minibatches are drawn from B_k while tuning (Algorithm 1, lines 10 to 14)."""
+
+    name: SamplingName = "otc"
+    distance: DistanceName = Field(default="embedding", description="d_e or d_q")
+    matching: Literal["minibatch", "exact"] = Field(
+        default="minibatch",
+        description="match against a minibatch D (the paper) or against all of D_k",
+    )
+    candidates: int = Field(default=512, ge=1, description="|B|, Table 3")
+    references: int = Field(default=2000, ge=1, description="|D|, Table 3")
+    alpha: float = Field(default=1.0, ge=0, description="alpha_0")
+    adaptive: bool = Field(default=True, description="adapt alpha at each deployment (Eq. 4)")
+    alpha_bound: float = Field(default=0.0, ge=0, description="upper bound on alpha; 0: none")
+    with_replacement: bool = Field(default=False, description="sample Eq. 3 with replacement")
+    exclude_self: bool = Field(
+        default=False, description="D_k's own transitions never match themselves"
+    )
+    normaliser: NormaliserName = Field(default="relative", description="of V(s') in d_q")
+    value_samples: int = Field(default=1, ge=1, description="actions a value V(s') is the mean of")
+    similarity_sample: int = Field(
+        default=20_000, ge=1, description="rows of B that Eq. 4 uses with d_e"
+    )
+
+
+class OfflineSection(Section):
+    """Offline training to pi_0. Targets with tau 0.005 settle in tens of thousands of updates."""
+
+    updates: int = Field(default=100_000, ge=0, description="offline updates to pi_0")
+
+
+class DeploymentSection(Section):
+    """The K deployments and the tuning after each."""
+
+    count: int = Field(default=10, ge=0, description="K, deployments")
+    fraction: float = Field(default=0.01, gt=0, le=1, description="M as a share of |B_0|")
+    transitions: int = Field(default=0, ge=0, description="M; 0: fraction of |B_0|")
+    updates: int = Field(
+        default=0,
+        ge=0,
+        description="L, updates after each deployment; 0: the algorithm's (Table 3)",
+    )
+
+
+class EvaluationSection(Section):
+    """Greedy episodes apart from the M collected steps; never seen by a learner."""
+
+    episodes: int = Field(
+        default=30, ge=0, description="greedy episodes after each tuning; 0: none"
+    )
+
+
+class EngineSection(Section):
+    """What runs the update steps (otc_dist/engine.py)."""
+
+    name: EngineName = Field(default="auto", description="auto resolves before the run starts")
+
+
+class BusSection(Section):
+    """Limits of the messages between processes."""
+
+    answer_deadline: float = Field(
+        default=120.0,
+        gt=0,
+        description="seconds without a sign of life from a process before giving up",
+    )
+    maximum_payload: int = Field(
+        default=16 * 2**20, ge=1024, description="bytes; larger is refused"
+    )

@@ -1,0 +1,143 @@
+"""A base algorithm fed by a sampler: what one phase of training does, and its random numbers."""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from otc_dist.algorithms.draws import Draw, Draws, draw
+from otc_dist.algorithms.interface import Algorithm, Improving, State, unpack
+from otc_dist.engine import Engine, Update
+from otc_dist.otc.samplers import Data, Extent, Sampler
+from otc_dist.training import BLOCK, DrawBlock, train
+from otc_dist.transitions import RowLayout
+
+Step = Callable[[State, Tensor, Draws], tuple[State, Tensor]]
+OnBlock = Callable[[State, int, dict[str, float]], None]
+
+
+class Phase(NamedTuple):
+    """What the random numbers of a phase are keyed by, and what its updates are given."""
+
+    purpose: str  # "offline" or "tuning"
+    deployment: int
+    minibatch_key: int
+    alpha: float
+
+
+class Trainer:
+    """Trains by one algorithm on the minibatches of one sampler.
+
+    Args:
+        step: the algorithm's update on packed rows, as the engine runs it.
+        random: a stream for a key.
+    """
+
+    def __init__(
+        self,
+        algorithm: Algorithm,
+        sampler: Sampler,
+        step: Step,
+        layout: RowLayout,
+        batch_size: int,
+        engine: Engine,
+        random: Callable[..., np.random.Generator],
+    ) -> None:
+        self._algorithm, self._sampler, self._step = algorithm, sampler, step
+        self._layout = layout
+        self._batch_size, self._engine, self._random = batch_size, engine, random
+        self._select = engine.fuse(sampler.select) if sampler.noise() else sampler.select
+
+    def train(
+        self,
+        state: State,
+        data: Data,
+        extent: Extent,
+        phase: Phase,
+        span: tuple[int, int],
+        on_block: OnBlock,
+    ) -> State:
+        """Updates [start, stop) of `span`, then the algorithm's improvement steps.
+
+        Args:
+            on_block: called after each block of updates, and after each improvement, with the
+                state, how many of both are done, and the block's mean metrics by name.
+        """
+        names = (*self._algorithm.metric_names, "guarded")
+
+        def on_updates(state: State, done: int, metrics: list[float]) -> None:
+            on_block(state, done, dict(zip(names, metrics, strict=True)))
+
+        update = self._engine.record(self._update(data))
+        noise = self._algorithm.noise(self._batch_size)
+        draws = self._draws(noise, extent, phase, "")
+        state = train(state, update, draws, self._engine.device, span, BLOCK, on_updates)
+        if isinstance(self._algorithm, Improving):
+            state = self._improve(self._algorithm, state, data, extent, phase, span[1], on_block)
+        return state
+
+    def _improve(
+        self,
+        algorithm: Improving,
+        state: State,
+        data: Data,
+        extent: Extent,
+        phase: Phase,
+        updates: int,
+        on_block: OnBlock,
+    ) -> State:
+        def improve(state: State, draws: Draws) -> tuple[State, Tensor]:
+            rows, _, state = self._choose(data, state, draws)
+            return algorithm.improve(state, unpack(rows, self._layout), draws)
+
+        def on_improvement(state: State, done: int, metrics: list[float]) -> None:
+            names = algorithm.improvement_metric_names
+            on_block(state, updates + done, dict(zip(names, metrics, strict=True)))
+
+        draws = self._draws(
+            algorithm.improvement_noise(self._batch_size), extent, phase, "-improvement"
+        )
+        span = (0, algorithm.improvements)
+        with torch.no_grad():
+            state = algorithm.begin_improvement(state)
+            return train(state, improve, draws, self._engine.device, span, 1, on_improvement)
+
+    def _update(self, data: Data) -> Update:
+        """One update on rows that the sampler chooses; the choice's `guarded` joins the metrics."""
+
+        def update(state: State, draws: Draws) -> tuple[State, Tensor]:
+            rows, guarded, state = self._choose(data, state, draws)
+            state, metrics = self._step(state, rows, draws)
+            return state, torch.cat((metrics, guarded.view(1)))
+
+        return update
+
+    def _choose(self, data: Data, state: State, draws: Draws) -> tuple[Tensor, Tensor, State]:
+        gathered = self._sampler.gather(state, data, draws)
+        selection = self._select(state, gathered, draws)
+        rows = data.rows.index_select(0, selection.rows)
+        return rows, selection.guarded, {**state, **selection.changed}
+
+    def _draws(
+        self, noise: Mapping[str, Draw], extent: Extent, phase: Phase, kind: str
+    ) -> DrawBlock:
+        wanted = {**noise, **self._sampler.noise()}
+        purpose, deployment = phase.purpose + kind, phase.deployment
+        alpha = np.float32(phase.alpha)
+
+        def draw_block(block: int, count: int) -> Mapping[str, NDArray[np.generic]]:
+            key = (phase.minibatch_key, deployment, block)
+            minibatches = self._random(f"{purpose}-minibatches", *key)
+            indices = self._sampler.draw(minibatches, count, extent)
+            noise = self._random(f"{purpose}-noise", deployment, block)
+            return {"alpha": np.full(count, alpha), **indices, **draw(noise, wanted, count)}
+
+        return draw_block
+
+
+def improvements(algorithm: Algorithm) -> int:
+    """Improvement steps that `algorithm` makes after a phase's updates."""
+    return algorithm.improvements if isinstance(algorithm, Improving) else 0
