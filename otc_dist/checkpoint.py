@@ -50,6 +50,18 @@ def digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:
     return total.hexdigest()[:16]
 
 
+def parts(arrays: Mapping[str, NDArray[np.generic]], *names: str) -> dict[str, Arrays]:
+    """Arrays named `part.key`, taken apart: every part of `names`, perhaps empty."""
+    return {
+        part: {
+            name.removeprefix(f"{part}."): array
+            for name, array in arrays.items()
+            if name.startswith(f"{part}.")
+        }
+        for part in names
+    }
+
+
 def write(path: Path, arrays: Mapping[str, NDArray[np.generic]], progressed: Progressed) -> None:
     """Write atomically: a crash leaves the old file or the new one.
 

@@ -24,7 +24,7 @@ from otc_dist import checkpoint
 from otc_dist.action_scale import ActionScale
 from otc_dist.algorithms import create
 from otc_dist.algorithms.draws import draw, to_tensors
-from otc_dist.algorithms.interface import Critic, State, unpack
+from otc_dist.algorithms.interface import State, unpack
 from otc_dist.description import Description
 from otc_dist.embedder import Embedder
 from otc_dist.engine import Engine, resolve
@@ -32,7 +32,7 @@ from otc_dist.errors import UserError
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
 from otc_dist.otc.samplers import Data, Extent, Uniform
-from otc_dist.otc.similarity import embedding_similarity, value_similarity
+from otc_dist.otc.similarity import expected_similarity
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec, Task
 from otc_dist.trainer import Phase, Trainer, improvements
@@ -97,7 +97,11 @@ class Learner:
         self._algorithm = create(algorithm, spec, task)
         self._improvements = improvements(self._algorithm)
         self._sampler = create_sampler(
-            sampling, self._algorithm, self._layout, algorithm.batch_size
+            sampling,
+            self._algorithm,
+            self._layout,
+            algorithm.batch_size,
+            capacity=len(self._buffer.rows),
         )
         self._embedder: Embedder | None = None
         if sampling.name == "otc" and sampling.distance == "embedding":
@@ -179,7 +183,16 @@ class Learner:
         """Actions (E, action_size) of the policy it holds, for observations (E, s).
 
         A pure function of the policy and the arguments, so that answering twice is harmless.
+
+        Raises:
+            UserError: an observation whose mask has no available action.
         """
+        choices = self.spec.choices
+        if choices and not (observations[:, -choices:] > 0).any(axis=1).all():
+            raise UserError(
+                f"an observation of {self._agent} has no available action, at step {step} of"
+                f" {phase} {deployment}: the environment must always offer one"
+            )
         wanted = self._algorithm.acting_noise(len(observations))
         noise = draw(self._stream("act", phase, deployment, step), wanted, 1)
         device = self._engine.device
@@ -243,10 +256,7 @@ class Learner:
         same_run = found.tuned <= 0 or found.run_digest == mine.run_digest
         if found.offline_digest != mine.offline_digest or not same_run:
             raise UserError(f"the checkpoint {path} was made by another description; use its own")
-        states: dict[str, dict[str, NDArray[np.generic]]] = {"algorithm": {}, "embedding": {}}
-        for name, array in arrays.items():
-            part, _, key = name.partition(".")
-            states[part][key] = array
+        states = checkpoint.parts(arrays, "algorithm", "embedding")
         self._state = to_tensors(states["algorithm"], self._engine.device)
         self._offline_updates = found.offline_updates
         self.tuned = found.tuned
@@ -290,15 +300,10 @@ class Learner:
         sampling = self.description.sampling
         random = self._stream("similarity", deployment)
         data, extent = self._data, self._extent()
-        guarded = 0.0
         with torch.no_grad():
-            if sampling.distance == "embedding":
-                similarity = embedding_similarity(data, extent, sampling, random)
-            else:
-                assert isinstance(self._algorithm, Critic)  # the description has seen to it
-                similarity, guarded = value_similarity(
-                    self._algorithm, self._state, data, extent, self._layout, sampling, random
-                )
+            similarity, guarded = expected_similarity(
+                self._algorithm, self._state, data, extent, self._layout, sampling, random
+            )
         if sampling.adaptive:
             self._alpha = self._alpha.adapt(similarity, sampling.alpha_bound)
             if self._alpha.value == sampling.alpha_bound > 0:

@@ -72,6 +72,31 @@ class Transitions:
         )
 
 
+def choice_problem(data: Transitions, choices: int) -> str | None:
+    """What is wrong with the masks and indices of discrete actions, in a few words; or None.
+
+    Args:
+        choices: number of discrete actions; 0: they are continuous, and nothing can be wrong.
+    """
+    if not choices:
+        return None
+    available, next_available = (
+        data.observations[:, -choices:],
+        data.next_observations[:, -choices:],
+    )
+    stuck = ~(available > 0).any(axis=1)
+    stuck |= ~(next_available > 0).any(axis=1) & ~data.terminated
+    if stuck.any():
+        return f"the mask of row {int(stuck.argmax())} has no available action"
+    action = data.actions[:, 0]
+    index = np.clip(action, 0, choices - 1).astype(np.int64)
+    wrong = (index != action) | (available[np.arange(len(data)), index] <= 0)
+    if wrong.any():
+        row = int(wrong.argmax())
+        return f"action {action[row]:g} of row {row} is none of its available ones"
+    return None
+
+
 @dataclass(frozen=True)
 class RowLayout:
     """Where each field lies in a packed float32 row: s | a_i | r | s' | terminated.
@@ -143,20 +168,8 @@ class ReplayBuffer:
         rows[:, layout.terminated] = data.terminated
         if not np.isfinite(rows).all():
             raise ValueError("a transition holds a value that is not finite (NaN or infinity)")
-        if layout.choices:
-            self._check_choices(rows)
+        if problem := choice_problem(data, layout.choices):
+            raise ValueError(problem)
         self.newest_start, self.size = self.size, end
         if offline:
             self.offline_size = end
-
-    def _check_choices(self, rows: Float32) -> None:
-        layout, n = self.layout, self.layout.choices
-        available = rows[:, layout.observation][:, -n:] > 0
-        ongoing = rows[:, layout.terminated] == 0
-        offers = (rows[:, layout.next_observation][:, -n:] > 0).any(axis=1)
-        if not (available.any(axis=1) & (offers | ~ongoing)).all():
-            raise ValueError("a mask of actions offers none")
-        action = rows[:, layout.action][:, 0]
-        index = np.clip(action, 0, n - 1).astype(np.int64)
-        if (index != action).any() or not available[np.arange(len(rows)), index].all():
-            raise ValueError(f"an action is none of the available ones of 0 .. {n - 1}")

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from otc_dist import checkpoint
@@ -33,10 +32,7 @@ class Specimen:
 
     def __init__(self, description: Description, spec: AgentSpec, path: Path) -> None:
         arrays, _ = checkpoint.read(path)
-        parts: dict[str, dict[str, NDArray[np.generic]]] = {"algorithm": {}, "embedding": {}}
-        for name, array in arrays.items():
-            part, _, key = name.partition(".")
-            parts[part][key] = array
+        parts = checkpoint.parts(arrays, "algorithm", "embedding")
         self.layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
         self.algorithm = create(description.algorithm, spec, registry.task(description.env.id))
         self.critic = self.algorithm if isinstance(self.algorithm, Critic) else None

@@ -27,7 +27,7 @@ from safetensors.numpy import save
 
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
-from otc_dist.transitions import Transitions
+from otc_dist.transitions import Transitions, choice_problem
 
 FORMAT_VERSION = 1
 
@@ -83,18 +83,27 @@ def load_agent(path: Path, agent: str) -> Transitions:
 
     Raises:
         UserError: no such file, damaged, another agent's, of another format version, sizes that
-            the environment does not have, or values that are not finite.
+            the environment does not have, values that are not finite, or a discrete action that
+            was not available.
     """
-    tensors = load_tensors(path, agent)
-    return Transitions(
+    header, tensors = _load(path, agent)
+    data = Transitions(
         **{name: tensors[name] for name in _FLOATS},
         terminated=tensors["terminated"],
         truncated=tensors["truncated"],
     )
+    spec = registry.team_spec(header.env_id)
+    if problem := choice_problem(data, spec.agents[spec.index(agent)].choices):
+        raise _damaged(path, problem)
+    return data
 
 
 def load_tensors(path: Path, agent: str) -> Tensors:
     """All tensors of an agent's file, checked; errors as in `load_agent`."""
+    return _load(path, agent)[1]
+
+
+def _load(path: Path, agent: str) -> tuple[Header, Tensors]:
     header, tensors = _read(path)
     if header.agent != agent:
         raise UserError(
@@ -108,7 +117,7 @@ def load_tensors(path: Path, agent: str) -> Tensors:
         problem = _contradiction(header)
     if problem is not None:
         raise _damaged(path, problem)
-    return tensors
+    return header, tensors
 
 
 def _read(path: Path) -> tuple[Header, Tensors]:

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from otc_dist.algorithms.draws import draw, to_tensors
-from otc_dist.algorithms.interface import Batch, Critic, State, unpack
+from otc_dist.algorithms.interface import Algorithm, Batch, Critic, State, unpack
 from otc_dist.description import SamplingSection
 from otc_dist.otc.distances import match_values, nearest_l1, next_state_distance
 from otc_dist.otc.samplers import Data, Extent
@@ -13,6 +13,22 @@ from otc_dist.transitions import RowLayout
 
 CHUNK = 8192  # rows whose values are computed at once
 PAIR_CHUNK = 256  # rows compared with all of D_k at once
+
+
+def expected_similarity(
+    algorithm: Algorithm,
+    state: State,
+    data: Data,
+    extent: Extent,
+    layout: RowLayout,
+    settings: SamplingSection,
+    random: np.random.Generator,
+) -> tuple[float, float]:
+    """𝔻_k by the described distance, and how many normalisers were guarded."""
+    if settings.distance == "embedding":
+        return embedding_similarity(data, extent, settings, random), 0.0
+    assert isinstance(algorithm, Critic)  # a description without a Q does not ask for d_q
+    return value_similarity(algorithm, state, data, extent, layout, settings, random)
 
 
 def embedding_similarity(
