@@ -110,8 +110,10 @@ class Trainer:
 
         def update(state: State, draws: Draws) -> tuple[State, Tensor]:
             rows, guarded, state = self._choose(data, state, draws)
-            state, metrics = self._step(state, rows, draws)
-            return state, torch.cat((metrics, guarded.view(1)))
+            # Without the sampler's entries: the step is compiled once, whatever the sampler.
+            own = {name: x for name, x in state.items() if not name.startswith("sampler_")}
+            new, metrics = self._step(own, rows, draws)
+            return {**state, **new}, torch.cat((metrics, guarded.view(1)))
 
         return update
 

@@ -16,6 +16,7 @@ ARMS = {
     "otc-value": ("sampling.distance=value",),
     "uniform": ("sampling.name=uniform",),
     "online-only": ("sampling.name=online-only",),
+    "balanced": ("sampling.name=balanced",),
 }
 SMALL: dict[str, Any] = {
     "name": "small",

@@ -7,7 +7,7 @@ from pydantic import Field, PositiveInt
 from otc_dist.description.section import Section
 
 EngineName = Literal["auto", "compiled", "cuda-graph", "eager"]
-SamplingName = Literal["otc", "uniform", "online-only"]
+SamplingName = Literal["otc", "uniform", "online-only", "balanced"]
 DistanceName = Literal["embedding", "value"]
 NormaliserName = Literal["relative", "shared", "paper"]
 
@@ -64,6 +64,16 @@ class SamplingSection(Section):
     value_samples: int = Field(default=1, ge=1, description="actions a value V(s') is the mean of")
     similarity_sample: int = Field(
         default=20_000, ge=1, description="rows of B that Eq. 4 uses with d_e"
+    )
+    density_hidden: tuple[PositiveInt, ...] = Field(
+        default=(64, 64),
+        description="hidden layers of Balanced Replay's w(s, a); its authors' are (256, 256)",
+    )
+    density_learning_rate: float = Field(
+        default=3e-4, gt=0, description="of w(s, a), as in Balanced Replay's code"
+    )
+    temperature: float = Field(
+        default=5.0, gt=0, description="T: Balanced Replay's priorities are w(s, a)^(1/T)"
     )
 
 

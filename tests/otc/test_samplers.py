@@ -179,7 +179,7 @@ def test_online_transitions_match_themselves_unless_excluded(distance: str) -> N
 
 def test_uniform_covers_all_and_online_only_covers_the_online_data() -> None:
     for name, first in (("uniform", 0), ("online-only", 300)):
-        sampler = create_sampler(settings(name=name), ALGORITHM, LAYOUT, BATCH)
+        sampler = create_sampler(settings(name=name), ALGORITHM, LAYOUT, BATCH, 450)
         draws = sampler.draw(np.random.default_rng(0), 2000, EXTENT)
         assert draws["batch"].shape == (2000, BATCH)
         counts = np.bincount(draws["batch"].ravel(), minlength=400)

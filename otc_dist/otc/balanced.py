@@ -1,0 +1,154 @@
+"""Balanced Replay (Lee et al., Offline-to-Online RL via Balanced Replay, CoRL 2021).
+
+Transitions are drawn in proportion to how near to the online data their (s, a) is: a network
+w(s, a) learns the ratio of the online to the offline density, and the priority of a transition is
+w^(1/T) over its mean in B_0. Unlike OTC it never looks at s', so it cannot tell two dynamics apart.
+
+Constants follow the authors' code (github.com/shlee94/Off2OnRL). Two things differ from it: w is
+made positive by a softplus, whose gradient never vanishes, where they use a ReLU; and D_k arrives
+at once, so the priority of new transitions is told by the share they shall have (`begin`).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.interface import State, unpack
+from otc_dist.algorithms.networks import Mlp, adam, value_and_gradient
+from otc_dist.otc import priorities
+from otc_dist.otc.samplers import Data, Extent, Gathered, Indices, Selection
+from otc_dist.transitions import RowLayout
+
+ONLINE_SHARE = 0.5  # of D_k in the first minibatches after a deployment (init_online_fraction)
+PRIORITY_RANGE = (1e-3, 1e3)
+TINY = 1e-10  # inside logarithms and quotients, as in the authors' code
+EVEN = math.log(math.e - 1)  # softplus(EVEN) = 1: at first both densities count as equal
+
+
+@dataclass(frozen=True)
+class Balanced:
+    """Balanced Replay over B_k.
+
+    What it learns lies in the state: `sampler_density` (n,), its `_moments` (2, n), the number of
+    `sampler_updates`, and `sampler_priorities` with `sampler_sums` (otc/priorities.py).
+
+    Attributes:
+        capacity: rows of the replay buffer, filled or not.
+        hidden: hidden layers of w.
+        temperature: T.
+    """
+
+    layout: RowLayout
+    batch_size: int
+    capacity: int
+    hidden: tuple[int, ...]
+    learning_rate: float
+    temperature: float
+
+    @cached_property
+    def density(self) -> Mlp:
+        actions = self.layout.choices or self.layout.action_size
+        return Mlp((self.layout.observation_size, actions), self.hidden, 1)
+
+    def noise(self) -> dict[str, Draw]:
+        return {"priority": Draw("uniform", (self.batch_size,))}
+
+    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        """Uniform minibatches of B_0 and of D_1 .. D_k, from which w learns."""
+        shape = (updates, self.batch_size)
+        return {
+            "offline": random.integers(0, extent.offline, shape),
+            "online": random.integers(extent.offline, extent.size, shape),
+        }
+
+    def begin(self, state: State, extent: Extent, random: np.random.Generator) -> State:
+        """Give D_k its priority, and at the first deployment a fresh w and priority 1 to B_0.
+
+        p_new = f / (1 - f) * (sum of the priorities of B_{k-1}) / |D_k|, so that D_k is the share
+        f = ONLINE_SHARE of the first minibatches. With priorities of 1 this is the authors'
+        f |B_0| / ((1 - f) N) for their N = 1000 new transitions. Each keeps it until drawn once.
+        """
+        mine = {key: value for key, value in state.items() if key.startswith("sampler_")}
+        mine = mine or self._fresh(extent, random, next(iter(state.values())).device)
+        each = ONLINE_SHARE / (1 - ONLINE_SHARE) * mine["sampler_sums"].sum()
+        each = each / (extent.size - extent.newest)
+        held = priorities.fill(mine["sampler_priorities"], extent.newest, extent.size, each)
+        return mine | _named(held)
+
+    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
+        chosen = priorities.choose(*_priorities(state), draws["priority"])
+        numbers = {"offline": draws["offline"], "online": draws["online"], "chosen": chosen}
+        rows = {name: data.rows.index_select(0, number) for name, number in numbers.items()}
+        return {**rows, "numbers": chosen}
+
+    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+        """The rows drawn by priority. w takes one step, and their priorities are set anew:
+        w(s, a)^(1/T) / mean over the offline minibatch of w^(1/T), by w before the step.
+        """
+        density, numbers = state["sampler_density"], gathered["numbers"]
+        updates = state["sampler_updates"] + 1
+        _, gradient = value_and_gradient(
+            lambda density: self.loss(density, gathered["offline"], gathered["online"]), density
+        )
+        trained, moments = adam(
+            density, gradient, state["sampler_density_moments"], updates, self.learning_rate
+        )
+        root = 1 / self.temperature
+        level = (self.ratio(density, gathered["offline"]) ** root).mean() + TINY
+        found = (self.ratio(density, gathered["chosen"]) ** root / level).clamp(*PRIORITY_RANGE)
+        held = state["sampler_priorities"].view(-1)[numbers]
+        found = torch.where(found.isnan(), held, found)
+        changed = {
+            "sampler_density": trained,
+            "sampler_density_moments": moments,
+            "sampler_updates": updates,
+            **_named(priorities.replace(*_priorities(state), numbers, found)),
+        }
+        return Selection(numbers, found.new_zeros(()), changed)
+
+    def loss(self, density: Tensor, offline: Tensor, online: Tensor) -> Tensor:
+        """mean [-log(2 / (w_off + 1)) - log(2 w_on / (w_on + 1))], whose minimum is reached by
+        w = density of the online over density of the offline data (the variational form of the
+        Jensen-Shannon divergence).
+
+        Args:
+            density: parameters of w (n,).
+            offline, online: packed rows (B, width).
+        """
+        w_off, w_on = self.ratio(density, offline), self.ratio(density, online)
+        divergence = (2 / (w_off + 1) + TINY).log() + (2 * w_on / (w_on + 1) + TINY).log()
+        return -divergence.mean()
+
+    def ratio(self, density: Tensor, rows: Tensor) -> Tensor:
+        """w(s, a) (B,) of packed rows (B, width), above 0. A discrete action is one-hot."""
+        batch = unpack(rows, self.layout)
+        action = batch.action
+        if self.layout.choices:
+            numbers = torch.arange(self.layout.choices, device=action.device)
+            action = (action == numbers).to(rows.dtype)
+        return softplus(EVEN + self.density.apply(density, batch.observation, action).squeeze(-1))
+
+    def _fresh(self, extent: Extent, random: np.random.Generator, device: torch.device) -> State:
+        network = self.density.initialise(random).astype(np.float32)
+        density = torch.from_numpy(network).to(device)
+        held = priorities.fill(priorities.empty(self.capacity, device), 0, extent.newest, 1.0)
+        return {
+            "sampler_density": density,
+            "sampler_density_moments": torch.zeros(2, len(density), device=device),
+            "sampler_updates": torch.zeros((), dtype=torch.float64, device=device),
+            **_named(held),
+        }
+
+
+def _priorities(state: State) -> tuple[Tensor, Tensor]:
+    return state["sampler_priorities"], state["sampler_sums"]
+
+
+def _named(held: tuple[Tensor, Tensor]) -> State:
+    return dict(zip(("sampler_priorities", "sampler_sums"), held, strict=True))
