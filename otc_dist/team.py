@@ -17,7 +17,8 @@ from otc_dist.transitions import JointStep, Transitions
 def deploy(learners: Sequence[Learner], deployment: int) -> list[JointStep]:
     """Deployment k = 1..K by the policies pi_{k-1}: M / E joint steps."""
     description = learners[0].description
-    env = registry.make(description.env.id, description.env.copies)
+    progress = description.progress(deployment)
+    env = registry.make(description.env.id, description.env.copies, progress)
     rollout = Rollout(env, description.seed, "deployment", deployment)
     steps = []
     for step in range(description.deployment.transitions // description.env.copies):
@@ -38,7 +39,8 @@ def own_transitions(steps: Sequence[JointStep], agent: int) -> Transitions:
 def evaluate(learners: Sequence[Learner], deployment: int) -> Rollout:
     """Play greedy episodes of the team pi_k, one a copy; the rollout holds their returns."""
     description = learners[0].description
-    env = registry.make(description.env.id, description.evaluation.episodes)
+    progress = description.progress(deployment)
+    env = registry.make(description.env.id, description.evaluation.episodes, progress)
     rollout = Rollout(env, description.seed, "evaluation", deployment)
     while not rollout.finished:
         actions = [

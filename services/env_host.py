@@ -87,7 +87,7 @@ class EnvHost:
             return
         self._enter("evaluation", k, self._run.team.max_episode_steps)
         env_id = self._run.team.env_id
-        env = registry.make(env_id, episodes)
+        env = registry.make(env_id, episodes, self._description.progress(k))
         rollout = Rollout(env, self._description.seed, "evaluation", k)
         policies: dict[str, str] = {}
         seeds: list[int] = []
@@ -121,8 +121,9 @@ class EnvHost:
         if path.exists():
             return
         self._enter("deployment", k, self._run.steps)
-        env = registry.make(self._run.team.env_id, self._description.env.copies)
-        rollout = Rollout(env, self._description.seed, "deployment", k)
+        description = self._description
+        env = registry.make(self._run.team.env_id, description.env.copies, description.progress(k))
+        rollout = Rollout(env, description.seed, "deployment", k)
         with _recording(path, "the steps recorded so far are kept"):
             writer, last = self._open_log(path, k, rollout)
             try:

@@ -190,7 +190,7 @@ def _remedy(path: Path) -> str:
     """What to do; `path` ends in ENV/LEVEL/TRANSITIONS/AGENT.safetensors where `store` wrote it."""
     folder = path.absolute().parent
     *_, env_id, level, transitions = ("", "", *folder.parts)
-    if env_id in registry.env_ids() and transitions.isdecimal():
+    if registry.known(env_id) and transitions.isdecimal():
         name = f"{env_id}/{level} --transitions {transitions}"
         return (
             f"python -m otc_dist.datasets make {name} mends it (an imported set: import it again)"

@@ -26,7 +26,7 @@ class DatasetName:
     def parse(cls, name: str) -> "DatasetName":
         """Raises UserError, with the nearest known name, if there is no such data set."""
         env_id, _, level = name.partition("/")
-        if env_id in registry.env_ids() and plain(level):
+        if registry.known(env_id) and plain(level):
             parsed = cls(env_id, level)
             if parsed.made_level or parsed.sizes():
                 return parsed

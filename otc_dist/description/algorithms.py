@@ -67,11 +67,17 @@ class BcqSection(SmallSection):
 
 
 class AwacSection(SmallSection):
-    """AWAC."""
+    """AWAC. What Table 3 leaves open is as in its authors' code (rlkit), for MuJoCo."""
 
     name: Literal["awac"] = "awac"
     actor_learning_rate: float = Field(default=1e-4, gt=0)
     critic_learning_rate: float = Field(default=5e-4, gt=0)
+    weighting: Literal["softmax", "exponential"] = Field(
+        default="softmax", description="softmax over the minibatch (rlkit) or exp up to 100 (CORL)"
+    )
+    temperature: float = Field(
+        default=2.0, gt=0, description="of the advantages; CORL's exponential has 1"
+    )
 
 
 class CqlSection(LargeSection):
@@ -94,12 +100,15 @@ class DiscreteCqlSection(LargeSection):
 
 
 class Td3BcSection(LargeSection):
-    """TD3+BC."""
+    """TD3+BC. What Table 3 leaves open is as in its authors' code."""
 
     name: Literal["td3bc"] = "td3bc"
     actor_learning_rate: float = Field(default=3e-4, gt=0)
     critic_learning_rate: float = Field(default=3e-4, gt=0)
     target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+    q_weight: float = Field(
+        default=2.5, ge=0, description="alpha, weight of Q against imitation of the data"
+    )
 
 
 class BremenSection(LargeSection):

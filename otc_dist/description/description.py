@@ -4,6 +4,7 @@ The same description and seed give the same run, to the byte.
 """
 
 import hashlib
+import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -46,6 +47,28 @@ class Description(Section):
     evaluation: EvaluationSection = EvaluationSection()
     engine: EngineSection = EngineSection()
     bus: BusSection = BusSection()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, data: object) -> object:
+        """`env.agents` becomes part of the id, and a data set's level a whole name."""
+        if not isinstance(data, dict):
+            return data
+        env, dataset = data.get("env"), data.get("dataset")
+        if not isinstance(env, dict) or not isinstance(env.get("id"), str):
+            return data
+        old = new = env["id"]
+        if isinstance(agents := env.get("agents"), int) and agents > 0:
+            new, changed = re.subn(r"-\d+$", f"-{agents}", old)
+            if not changed:
+                raise ValueError(f"env.agents is not for {old}, whose number of agents is its own")
+        data = {**data, "env": {**env, "id": new, "agents": 0}}
+        if isinstance(dataset, dict) and isinstance(name := dataset.get("name"), str):
+            whole = name if "/" in name else f"{new}/{name}"
+            if whole.startswith(f"{old}/"):
+                whole = new + whole.removeprefix(old)
+            data["dataset"] = {**dataset, "name": whole}
+        return data
 
     @field_validator("algorithm", mode="before")
     @classmethod
@@ -105,6 +128,10 @@ class Description(Section):
         changed = self.algorithm.model_dump(mode="json", exclude_defaults=True)
         data["algorithm"] = {"name": self.algorithm.name, **changed}
         return self.build(data, assignments)
+
+    def progress(self, deployment: int) -> float:
+        """The share of the deployments gone in deployment and evaluation k, from 0 to 1."""
+        return max(deployment - 1, 0) / max(self.deployment.count - 1, 1)
 
     def to_toml(self) -> str:
         return tomli_w.dumps(self.model_dump(mode="json"))

@@ -16,13 +16,16 @@ class EnvSection(Section):
     """The task, and how many copies of it the env host steps together."""
 
     id: str = Field(description="environment, for example hopper-3x1")
+    agents: int = Field(
+        default=0, ge=0, description="of a task for any number: replaces the number in its id"
+    )
     copies: int = Field(default=4, ge=1, description="E, environment copies stepping together")
 
 
 class DatasetSection(Section):
     """The offline data B_0 of every agent."""
 
-    name: str = Field(description="B_0, for example hopper-3x1/medium-replay")
+    name: str = Field(description="B_0, as hopper-3x1/medium-replay; its level alone will do")
     transitions: int = Field(
         default=0, ge=0, description="size of B_0; 0: the data set's usual size"
     )

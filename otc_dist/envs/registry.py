@@ -13,38 +13,47 @@ from otc_dist.spec import Task, TeamSpec
 class _Family:
     """Environments that share an implementation; its simulator is imported only by `make`."""
 
-    env_ids: tuple[str, ...]
+    usual: tuple[str, ...]  # ids to list; there may be more
+    knows: Callable[[str], bool]
     team_spec: Callable[[str], TeamSpec]
-    make: Callable[[str, int], BatchedEnv]
-    reference_returns: Callable[[str], tuple[float, float]] | None  # of a random and an expert team
+    make: Callable[[str, int, float | None], BatchedEnv]
+    reference_returns: Callable[[str], tuple[float, float]] | None = None  # random, expert team
+    task: Callable[[str], Task] | None = None
 
 
-def _make_robot(env_id: str, copies: int) -> BatchedEnv:
+def _make_robot(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
     from otc_dist.envs.robots import RobotEnv
 
+    del progress  # robots stay as they are
     return RobotEnv(env_id, copies)
 
 
 _FAMILIES = (
     _Family(
         tuple(robot_specs.PARTITIONS),
+        robot_specs.PARTITIONS.__contains__,
         robot_specs.team_spec,
         _make_robot,
         robot_specs.reference_returns,
     ),
 )
-_FAMILY_OF = {env_id: family for family in _FAMILIES for env_id in family.env_ids}
 
 
 def _family(env_id: str) -> _Family:
-    if env_id not in _FAMILY_OF:
-        raise unknown("environment", env_id, _FAMILY_OF)
-    return _FAMILY_OF[env_id]
+    for family in _FAMILIES:
+        if family.knows(env_id):
+            return family
+    raise unknown("environment", env_id, env_ids())
 
 
 def env_ids() -> tuple[str, ...]:
-    """All known environment ids, family by family."""
-    return tuple(_FAMILY_OF)
+    """The usual environment ids, family by family; tasks for any number of agents have more."""
+    return tuple(env_id for family in _FAMILIES for env_id in family.usual)
+
+
+def known(env_id: str) -> bool:
+    """Whether there is such an environment."""
+    return any(family.knows(env_id) for family in _FAMILIES)
 
 
 def team_spec(env_id: str) -> TeamSpec:
@@ -52,20 +61,24 @@ def team_spec(env_id: str) -> TeamSpec:
     return _family(env_id).team_spec(env_id)
 
 
-def make(env_id: str, copies: int) -> BatchedEnv:
+def make(env_id: str, copies: int, progress: float | None = None) -> BatchedEnv:
     """`copies` copies of an environment that step together; none has a state before `reset`.
+
+    Args:
+        progress: share of the deployments gone, from 0 to 1; None: offline data are made. Tasks
+            that change in the course of the deployments depend on it.
 
     Raises:
         UserError: unknown environment; the message suggests the nearest known one.
         ValueError: fewer than one copy.
     """
-    return _family(env_id).make(env_id, copies)
+    return _family(env_id).make(env_id, copies, progress)
 
 
 def task(env_id: str) -> Task | None:
     """Reward and termination as one agent can tell them; None if the task does not say."""
-    del env_id
-    return None
+    task_of = _family(env_id).task
+    return task_of(env_id) if task_of else None
 
 
 def normalised_score(env_id: str, returns: float) -> float | None:
