@@ -8,7 +8,7 @@ description.
 import os
 import shutil
 from collections.abc import Callable
-from typing import Literal, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
@@ -24,6 +24,8 @@ T = TypeVar("T")
 Update = Callable[[State, Draws], tuple[State, Tensor]]
 Resolved = Literal["compiled", "cuda-graph", "eager"]
 VARIANTS = 256  # of one function in a process: agents differ in sizes, arms in samplers
+# torch.cond's branches are part of the cache's key, but torch has not declared it cacheable.
+CACHEABLE = {"torch.ops.higher_order.cond": torch.__version__}
 COMPILE_WORTHWHILE = 10_000  # updates: compiling takes about a minute, an update saves 5 ms
 
 
@@ -67,9 +69,12 @@ class Engine:
         """`function` with the same results up to rounding; argument shapes must not vary."""
         if self.name == "eager":
             return torch.no_grad()(function)
-        on_cpu = self.device.type == "cpu"
+        options: dict[str, Any] = {
+            "cpp_wrapper": self.device.type == "cpu",
+            "unsafe_marked_cacheable_functions": CACHEABLE,
+        }
         return torch.no_grad()(
-            torch.compile(function, fullgraph=True, dynamic=False, options={"cpp_wrapper": on_cpu})
+            torch.compile(function, fullgraph=True, dynamic=False, options=options)
         )
 
     def record(self, update: Update) -> Update:

@@ -3,14 +3,18 @@
 from collections.abc import Callable
 from typing import Any
 
+from otc_dist.algorithms.awac import Awac
 from otc_dist.algorithms.bcq import Bcq
 from otc_dist.algorithms.interface import Algorithm
+from otc_dist.algorithms.td3bc import Td3Bc
 from otc_dist.description import AlgorithmSection
 from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec, Task
 
 _ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
     "bcq": Bcq,
+    "awac": Awac,
+    "td3bc": Td3Bc,
 }
 _PLANNING: dict[str, Callable[..., Algorithm]] = {}  # take the task as well
 

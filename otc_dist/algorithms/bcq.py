@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
-from otc_dist.algorithms.critics import TwinCritics, td_target
+from otc_dist.algorithms.critics import ActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
@@ -25,26 +25,17 @@ KL_WEIGHT = 0.5
 
 
 @dataclass(frozen=True)
-class Bcq:
+class Bcq(ActorCritic):
     """BCQ for one agent with continuous actions in [-1, 1].
 
     Attributes:
-        observation_size, action_size: the agent's own.
-        hidden: hidden layers of every network.
-        actor_learning_rate, critic_learning_rate: Table 3. The VAE's is BCQ's own.
+        vae_learning_rate: not in Table 3 but in BCQ's own code.
         target_candidates: actions decoded for the target; acting_candidates: to act.
         perturbation: phi, the largest change the actor makes to a decoded action.
         soft_minimum: lambda in  lambda min_j Q_j + (1 - lambda) max_j Q_j.
     """
 
-    observation_size: int
-    action_size: int
-    hidden: tuple[int, ...]
-    actor_learning_rate: float
-    critic_learning_rate: float
     vae_learning_rate: float
-    discount: float
-    target_rate: float
     target_candidates: int
     acting_candidates: int
     perturbation: float
@@ -68,10 +59,6 @@ class Bcq:
     @cached_property
     def actor(self) -> Mlp:
         return Mlp((self.observation_size, self.action_size), self.hidden, self.action_size)
-
-    @cached_property
-    def critics(self) -> TwinCritics:
-        return TwinCritics(self.observation_size, self.action_size, self.hidden)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """Networks vae (encoder then decoder), critic and actor, the last two with targets."""
@@ -100,12 +87,7 @@ class Bcq:
         )
 
         target = self.target(new, batch, noise["target"])
-        new, critic_loss = descend(
-            new,
-            "critic",
-            self.critic_learning_rate,
-            lambda critic: self.critics.loss(critic, batch, target),
-        )
+        new, critic_loss = self.fit_critics(new, batch, target)
 
         decoded = self.decode(new["vae"], batch.observation, noise["actor"])
         new, actor_loss = descend(
@@ -169,9 +151,6 @@ class Bcq:
         actions, q = self._candidates(state, observations, noise["act"])
         best = q.argmax(-1)
         return actions[torch.arange(len(actions), device=actions.device), best]
-
-    def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
-        return self.critics.first(state["critic"], observations, actions)
 
     def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
         return {"value": Draw("normal", (count, samples, self.latent_size))}

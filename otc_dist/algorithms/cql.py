@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.critics import TwinCritics, td_target
+from otc_dist.algorithms.critics import ActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.gaussian import mode_squashed, sample_squashed
 from otc_dist.algorithms.interface import Batch, State
@@ -26,25 +26,15 @@ LOG_STD_RANGE = (-5.0, 2.0)
 
 
 @dataclass(frozen=True)
-class Cql:
+class Cql(ActorCritic):
     """CQL for one agent with continuous actions in [-1, 1].
 
     Attributes:
-        observation_size, action_size: the agent's own.
-        hidden: hidden layers of every network.
-        actor_learning_rate: Table 3; the temperature's as well, as in the authors' code.
-        critic_learning_rate: Table 3.
+        actor_learning_rate: the temperature's as well, as in the authors' code.
         weight: w of the conservative term.
         action_samples: actions of each of the three kinds in the conservative term.
     """
 
-    observation_size: int
-    action_size: int
-    hidden: tuple[int, ...]
-    actor_learning_rate: float
-    critic_learning_rate: float
-    discount: float
-    target_rate: float
     weight: float
     action_samples: int
 
@@ -53,10 +43,6 @@ class Cql:
     @cached_property
     def actor(self) -> Mlp:
         return Mlp((self.observation_size,), self.hidden, 2 * self.action_size)
-
-    @cached_property
-    def critics(self) -> TwinCritics:
-        return TwinCritics(self.observation_size, self.action_size, self.hidden)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """Networks actor and critic, the latter with a target, and log_temperature (1,)."""
@@ -183,9 +169,6 @@ class Cql:
     def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
         """The squashed mean of the policy."""
         return mode_squashed(self.policy(state["actor"], observations)[0])
-
-    def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
-        return self.critics.first(state["critic"], observations, actions)
 
     def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
         return {"value": Draw("normal", (count, samples, self.action_size))}

@@ -1,5 +1,5 @@
 """Twin critics: two action values trained on one target, against overestimation (Fujimoto, van
-Hoof and Meger, ICML 2018).
+Hoof and Meger, ICML 2018), and what the algorithms that have them share.
 """
 
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from torch import Tensor
 
-from otc_dist.algorithms.interface import Batch
-from otc_dist.algorithms.networks import Mlp
+from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.networks import Mlp, descend
 
 
 @dataclass(frozen=True)
@@ -53,3 +53,42 @@ class TwinCritics:
 def td_target(batch: Batch, discount: float, next_values: Tensor) -> Tensor:
     """y = r + gamma V(s') (B,), and y = r at a terminal s', for next values V(s') (B,)."""
     return batch.reward + discount * (1 - batch.terminated) * next_values
+
+
+@dataclass(frozen=True)
+class ActorCritic:
+    """What continuous-action algorithms with twin critics have in common.
+
+    Their state holds the critics' parameters as "critic".
+
+    Attributes:
+        observation_size, action_size: the agent's own.
+        hidden: hidden layers of every network.
+        actor_learning_rate, critic_learning_rate: Table 3 of the OTC paper.
+        target_rate: tau of the target networks.
+    """
+
+    observation_size: int
+    action_size: int
+    hidden: tuple[int, ...]
+    actor_learning_rate: float
+    critic_learning_rate: float
+    discount: float
+    target_rate: float
+
+    @cached_property
+    def critics(self) -> TwinCritics:
+        return TwinCritics(self.observation_size, self.action_size, self.hidden)
+
+    def fit_critics(self, state: State, batch: Batch, target: Tensor) -> tuple[State, Tensor]:
+        """One step of the critics towards targets y (B,): the new state and the loss before it."""
+        return descend(
+            state,
+            "critic",
+            self.critic_learning_rate,
+            lambda critic: self.critics.loss(critic, batch, target),
+        )
+
+    def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
+        """Q_1(s, a) (...)."""
+        return self.critics.first(state["critic"], observations, actions)

@@ -16,6 +16,8 @@ from torch import Tensor
 from torch.func import grad_and_value
 from torch.nn.functional import relu
 
+Tensors = tuple[Tensor, ...]
+
 ADAM_BETAS = (0.9, 0.999)
 ADAM_EPSILON = 1e-8
 
@@ -78,6 +80,11 @@ class Mlp:
     def first_parameters(self, parameters: Tensor) -> Tensor:
         """The flat parameters of copy 0, for `first()`."""
         return torch.cat([part[0].reshape(-1) for pair in self._split(parameters) for part in pair])
+
+    def apart(self, parameters: Tensor) -> Tensor:
+        """The flat parameters of each copy (copies, n), for `first()`."""
+        parts = [part.reshape(self.copies, -1) for pair in self._split(parameters) for part in pair]
+        return torch.cat(parts, dim=1)
 
     def _split(self, parameters: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Views of each layer's weight (copies, fan_in, fan_out) and bias (copies, fan_out)."""
@@ -175,6 +182,23 @@ def descend(
         state[name], gradient, state[moments], state["updates"], learning_rate
     )
     return {**state, name: parameters, moments: new_moments}, value
+
+
+def when(condition: Tensor, change: Callable[[], Tensors], otherwise: Tensors) -> Tensors:
+    """`change()` where the scalar `condition` holds, else the tensors `otherwise`, of like shapes.
+
+    On the CPU a change that is not wanted is not computed. A GPU computes it and drops it: it
+    would have to stop to read the condition, which a CUDA graph cannot.
+    """
+    if condition.device.type != "cpu":
+        pairs = zip(change(), otherwise, strict=True)
+        return tuple(torch.where(condition, new, old) for new, old in pairs)
+    if torch.compiler.is_compiling():
+        chosen: Tensors = torch.cond(
+            condition, change, lambda: tuple(tensor.clone() for tensor in otherwise)
+        )
+        return chosen
+    return change() if condition else otherwise
 
 
 def fresh_state(

@@ -1,0 +1,137 @@
+"""TD3+BC (Fujimoto and Gu, NeurIPS 2021): TD3 whose policy is also held to the data's actions.
+
+Constants follow the authors' code where Table 3 of the OTC paper is silent.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import mse_loss
+
+from otc_dist.algorithms.critics import ActorCritic, td_target
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak, when
+
+TARGET_NOISE = 0.2  # standard deviation of the noise on a', in units of the action bound
+NOISE_CLIP = 0.5
+POLICY_DELAY = 2  # updates of the critics to one of the policy and of all targets
+STD_OFFSET = 1e-3
+
+
+@dataclass(frozen=True)
+class Td3Bc(ActorCritic):
+    """TD3+BC for one agent with continuous actions in [-1, 1].
+
+    Attributes:
+        q_weight: alpha in  lambda = alpha / mean |Q|, see `actor_loss`.
+    """
+
+    q_weight: float
+
+    metric_names: tuple[str, ...] = ("critic_loss", "actor_loss", "q")
+
+    @cached_property
+    def actor(self) -> Mlp:
+        return Mlp((self.observation_size,), self.hidden, self.action_size)
+
+    def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
+        """Networks critic and actor with targets; B_0's state_mean and state_std (s,)."""
+        networks = {
+            "critic": self.critics.initialise(random),
+            "actor": self.actor.initialise(random),
+        }
+        std, mean = torch.std_mean(offline.observation.double(), dim=0, correction=0)
+        return {
+            **fresh_state(networks, targets=("critic", "actor")),
+            "state_mean": mean.float().numpy(),
+            "state_std": (std + STD_OFFSET).float().numpy(),
+        }
+
+    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+        return {"target": Draw("normal", (batch_size, self.action_size))}
+
+    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+        """One update of the critics, and, at every POLICY_DELAY-th, of the actor and all targets.
+
+        The actor's loss is of the critics just updated. It counts POLICY_DELAY times where there
+        is one and 0 elsewhere, so that its mean over updates is its mean over the actor's.
+        """
+        new = dict(state, updates=state["updates"] + 1)
+        batch = batch._replace(
+            observation=self._normalise(state, batch.observation),
+            next_observation=self._normalise(state, batch.next_observation),
+        )
+
+        target = self.target(state, batch, noise["target"])
+        new, critic_loss = self.fit_critics(new, batch, target)
+
+        changing = ("actor", "actor_moments", "critic_target", "actor_target")
+        *changed, actor_loss = when(
+            new["updates"] % POLICY_DELAY == 0,
+            lambda: self._improve(new, batch, changing),
+            (*(state[name] for name in changing), torch.zeros_like(critic_loss)),
+        )
+        new.update(zip(changing, changed, strict=True))
+        return new, torch.stack((critic_loss, actor_loss, target.mean()))
+
+    def _improve(self, state: State, batch: Batch, changing: tuple[str, ...]) -> tuple[Tensor, ...]:
+        """One step of the actor and then of the targets: the tensors `changing`, and the loss."""
+        counted = dict(state, updates=state["updates"] / POLICY_DELAY)
+        new, loss = descend(
+            counted,
+            "actor",
+            self.actor_learning_rate,
+            lambda actor: self.actor_loss(actor, state["critic"], batch),
+        )
+        for name in ("critic", "actor"):
+            target = f"{name}_target"
+            new[target] = polyak(state[target], new[name], self.target_rate)
+        return *(new[name] for name in changing), POLICY_DELAY * loss
+
+    def target(self, state: State, batch: Batch, noise: Tensor) -> Tensor:
+        """y = r + gamma min_j Q'_j(s', a'),  a' = clip(pi'(s') + clip(0.2 eps, +-0.5)) (B,)."""
+        s = batch.next_observation
+        smoothing = (TARGET_NOISE * noise).clamp(-NOISE_CLIP, NOISE_CLIP)
+        actions = (self._action(state["actor_target"], s) + smoothing).clamp(-1, 1)
+        return td_target(
+            batch, self.discount, self.critics.minimum(state["critic_target"], s, actions)
+        )
+
+    def actor_loss(self, actor: Tensor, critic: Tensor, batch: Batch) -> Tensor:
+        """-lambda mean Q_1(s, pi(s)) + mean (pi(s) - a)^2,  lambda = alpha / mean |Q_1(s, pi(s))|.
+
+        No gradient flows through lambda.
+        """
+        actions = self._action(actor, batch.observation)
+        q = self.critics.first(critic, batch.observation, actions)
+        scale = self.q_weight / q.abs().mean().detach()
+        return mse_loss(actions, batch.action) - scale * q.mean()
+
+    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+        return {}
+
+    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+        """pi(s)."""
+        return self._action(state["actor"], self._normalise(state, observations))
+
+    def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
+        return super().q(state, self._normalise(state, observations), actions)
+
+    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
+        return {}
+
+    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+        """V(s) = Q_1(s, pi(s)) (B,): the policy is deterministic."""
+        return self.q(state, observations, self.act(state, observations, noise))
+
+    def _action(self, actor: Tensor, normalised: Tensor) -> Tensor:
+        return self.actor.apply(actor, normalised).tanh()
+
+    @staticmethod
+    def _normalise(state: State, observations: Tensor) -> Tensor:
+        return (observations - state["state_mean"]) / state["state_std"]

@@ -1,0 +1,87 @@
+"""What the tests of several algorithms ask of them."""
+
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from otc_dist.algorithms.draws import draw
+from otc_dist.algorithms.interface import Algorithm, Batch, State
+from otc_dist.engine import Engine
+
+from .arrays import first, random_batch
+
+UPDATES, BATCH = 120, 32
+FLOAT32_UPDATES = 20  # beyond some tens of updates float32 diverges chaotically
+
+
+class Plain(Protocol):
+    """An algorithm as modules, autograd and torch.optim.Adam, which already has its weights."""
+
+    def update(self, batch: Sequence[Tensor], noise: Mapping[str, Tensor]) -> list[float]: ...
+
+    def weights(self) -> dict[str, Tensor]: ...
+
+
+def assert_equals_plain(
+    algorithm: Algorithm, plain: Plain, state: State, sizes: tuple[int, int], spread: float = 1.0
+) -> State:
+    """Same metrics and weights in float64 for 120 updates from the same batches and noise.
+
+    Args:
+        sizes: of an observation and an action.
+        spread: what the noise is multiplied by.
+
+    Returns:
+        The state after them.
+    """
+    random = np.random.default_rng(1)
+    for _ in range(UPDATES):
+        batch = random_batch(random, *sizes, BATCH)
+        drawn = first(draw(random, algorithm.noise(BATCH), 1))
+        noise = {name: spread * tensor for name, tensor in drawn.items()}
+        state, metrics = algorithm.update(state, batch, noise)
+        expected = plain.update(batch, noise)
+        np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10, atol=1e-12)
+    for name, weights in plain.weights().items():
+        np.testing.assert_allclose(state[name].numpy(), weights.numpy(), atol=1e-10, err_msg=name)
+    assert float(state["updates"]) == UPDATES
+    return state
+
+
+def assert_pure(
+    algorithm: Algorithm, state: State, batch: Batch, constant: AbstractSet[str] = frozenset()
+) -> None:
+    """An update leaves its arguments alone, changes all but `constant`, and passes on the rest."""
+    before = {name: tensor.clone() for name, tensor in state.items()}
+    other = torch.ones(3)
+    noise = first(draw(np.random.default_rng(1), algorithm.noise(BATCH), 1))
+    new, _ = algorithm.update({**state, "sampler_weights": other}, batch, noise)
+    assert new.pop("sampler_weights") is other
+    for name, tensor in before.items():
+        assert torch.equal(state[name], tensor), name
+        assert torch.equal(new[name], tensor) == (name in constant), name
+
+
+def assert_engines_agree(algorithm: Algorithm, sizes: tuple[int, int]) -> None:
+    """Compiled and eager updates have the same metrics, to float32's rounding."""
+    random = np.random.default_rng(1)
+    batches = [
+        Batch(*(field.float() for field in random_batch(random, *sizes, BATCH)))
+        for _ in range(FLOAT32_UPDATES)
+    ]
+    draws = draw(random, algorithm.noise(BATCH), len(batches))
+    initial = algorithm.initial_state(random, batches[0])
+    metrics = []
+    for engine in (Engine("eager"), Engine("compiled")):
+        state: State = {name: torch.from_numpy(array) for name, array in initial.items()}
+        update, history = engine.fuse(algorithm.update), []
+        for index, batch in enumerate(batches):
+            noise = {name: torch.from_numpy(array[index]) for name, array in draws.items()}
+            state, values = update(state, batch, noise)
+            history.append(values)
+        metrics.append(torch.stack(history).numpy())
+    np.testing.assert_allclose(metrics[1], metrics[0], rtol=2e-4, atol=2e-5)
