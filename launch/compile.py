@@ -1,8 +1,8 @@
 """`python -m otc_dist.launch.compile RUN`: compile a run's updates once, before the learners start.
 
 They then load the code from the cache, instead of each compiling the same. What is compiled
-depends on the networks' and minibatches' sizes only, so a learner with a little made-up data and
-a few updates asks for all of it.
+depends on the networks' and minibatches' sizes, so a learner with a little made-up data and a few
+updates asks for all of it. Only Balanced Replay's code depends on the size of the replay buffer.
 """
 
 import sys
@@ -21,6 +21,7 @@ from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 
 ROWS = 256  # of made-up data
+DEPLOYED = 16
 
 
 def main(argv: list[str]) -> int:
@@ -41,12 +42,16 @@ def main(argv: list[str]) -> int:
 def _exercise(description: Description, agent: AgentSpec) -> None:
     short = description.with_assignments(
         "offline.updates=1", "embedding.updates=1", "deployment.updates=1", "deployment.count=1",
-        "deployment.transitions=16", "embedding.minimum_active=0",
+        f"deployment.transitions={DEPLOYED}", "embedding.minimum_active=0",
     )  # fmt: skip
+    rows, deployment = ROWS, description.deployment
+    if description.sampling.name == "balanced":
+        online = deployment.count * deployment.transitions
+        rows = description.dataset.transitions + online - DEPLOYED
     task = registry.task(description.env.id)
-    learner = Learner(short, agent, _made_up(agent, ROWS), task)
+    learner = Learner(short, agent, _made_up(agent, rows), task)
     learner.pretrain(_ignore, lambda: None)
-    learner.tune(1, _made_up(agent, 16), _ignore)
+    learner.tune(1, _made_up(agent, DEPLOYED), _ignore)
 
 
 def _ignore(progress: Progress) -> None:
