@@ -10,6 +10,7 @@ from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.exploration import Schedule
 from otc_dist.run_folder import RunFolder
 
 from . import forecast, run_record
@@ -168,6 +169,6 @@ def _tuning_seconds(description: Description, agents: int) -> float:
     update = forecast.UPDATE[engine]
     if description.sampling.name == "otc":
         update += forecast.OTC_UPDATE[engine]
-    steps = description.deployment.transitions / description.env.copies + forecast.EPISODE_STEPS
+    steps = Schedule.of(description, agents).steps + forecast.EPISODE_STEPS
     each = description.deployment.updates * update + steps * forecast.ACT
     return 10 + description.deployment.count * agents * each / 1000

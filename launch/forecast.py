@@ -8,6 +8,7 @@ import os
 from dataclasses import dataclass
 
 from otc_dist.description import Description
+from otc_dist.exploration import Schedule
 
 # Milliseconds of one core. Updates: BCQ at Table 3's sizes, one agent.
 UPDATE = {"compiled": 2.0, "cuda-graph": 0.4, "eager": 8.0}
@@ -39,7 +40,7 @@ def parts(description: Description, agents: int) -> list[Part]:
     embedding = EMBEDDING_UPDATE.get(engine, EMBEDDING_UPDATE["eager"])
     scale = sharing / 1000
     step = ACT * scale
-    steps = description.deployment.transitions / description.env.copies
+    steps = Schedule.of(description, agents).steps
     evaluation = EPISODE_STEPS * step if description.evaluation.episodes else 0.0
     run = [
         Part("start", 0, START_SECONDS),

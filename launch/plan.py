@@ -13,6 +13,7 @@ from otc_dist.bus.keys import HOST, Keys
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
+from otc_dist.exploration import Schedule
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
@@ -75,7 +76,8 @@ class Plan:
         numbers = sum(2 * a.observation_size + a.action_size + 1 for a in self.spec.agents)
         step = 4 * numbers + 8 * self.spec.state_size + 100
         count = self.description.deployment.count
-        logs = count * self.description.deployment.transitions * step
+        rounds = Schedule.of(self.description, len(self.spec.agents)).rounds
+        logs = count * rounds * self.description.deployment.transitions * step
         checkpoints = (count + 2) * len(self.spec.agents) * _CHECKPOINT_BYTES
         return 2 * logs + checkpoints + 10_000_000
 
@@ -91,9 +93,11 @@ class Plan:
             yield f"  {agent:10} {path} ({state})"
         yield f"work         {d.embedding.updates:,} updates of the embedding, for d_e"
         yield f"             {d.offline.updates:,} offline updates to pi_0"
+        rounds = Schedule.of(d, len(self.spec.agents)).rounds
+        cost = f" an agent, who explore in turn: x {rounds}" if rounds > 1 else ""
         yield (
             f"             {d.deployment.count} deployments of {d.deployment.transitions:,}"
-            f" transitions, {d.deployment.updates:,} updates after each"
+            f" transitions{cost}, {d.deployment.updates:,} updates after each"
         )
         yield f"             {d.evaluation.episodes} greedy episodes after each tuning"
         yield f"engine       {d.engine.name}"

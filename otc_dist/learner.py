@@ -29,6 +29,7 @@ from otc_dist.description import Description
 from otc_dist.embedder import Embedder
 from otc_dist.engine import Engine, resolve
 from otc_dist.errors import UserError
+from otc_dist.exploration import explore
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
 from otc_dist.otc.samplers import Data, Extent, Uniform
@@ -179,6 +180,8 @@ class Learner:
         phase: Literal["deployment", "evaluation"],
         deployment: int,
         step: int,
+        *,
+        exploring: bool = False,
     ) -> Float32:
         """Actions (E, action_size) of the policy it holds, for observations (E, s).
 
@@ -200,6 +203,12 @@ class Learner:
             draws = {name: array[0] for name, array in to_tensors(noise, device).items()}
             states = torch.tensor(observations, device=device)
             actions: Float32 = self._algorithm.act(self._state, states, draws).cpu().numpy()
+        if exploring:
+            settings, random = (
+                self.description.deployment,
+                self._stream("explore", deployment, step),
+            )
+            actions = explore(actions, observations, choices, settings, random)
         return self._scale.unscaled(actions)
 
     def tune(self, deployment: int, data: Transitions, report: Report) -> None:

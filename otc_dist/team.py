@@ -10,30 +10,39 @@ import numpy as np
 
 from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
+from otc_dist.exploration import Schedule
 from otc_dist.learner import Learner
 from otc_dist.transitions import JointStep, Transitions
 
 
 def deploy(learners: Sequence[Learner], deployment: int) -> list[JointStep]:
-    """Deployment k = 1..K by the policies pi_{k-1}: M / E joint steps."""
+    """Deployment k = 1..K by the policies pi_{k-1}: all its joint steps."""
     description = learners[0].description
     progress = description.progress(deployment)
     env = registry.make(description.env.id, description.env.copies, progress)
     rollout = Rollout(env, description.seed, "deployment", deployment)
     steps = []
-    for step in range(description.deployment.transitions // description.env.copies):
+    schedule = Schedule.of(description, len(learners))
+    for step in range(schedule.steps):
+        exploring = schedule.exploring(step)
         actions = [
-            learner.act(observations, "deployment", deployment, step)
-            for learner, observations in zip(learners, rollout.observations, strict=True)
+            learner.act(observations, "deployment", deployment, step, exploring=explores)
+            for learner, observations, explores in zip(
+                learners, rollout.observations, exploring, strict=True
+            )
         ]
-        steps.append(rollout.advance(actions, (False,) * len(learners)))
+        steps.append(rollout.advance(actions, exploring))
     env.close()
     return steps
 
 
 def own_transitions(steps: Sequence[JointStep], agent: int) -> Transitions:
-    """What agent number `agent` keeps of a deployment: D_k in the order of (step, copy)."""
-    return Transitions.concatenate([step.of_agent(agent) for step in steps])
+    """What agent number `agent` keeps of a deployment: D_k in the order of (step, copy).
+
+    Where one agent explored at a time, it keeps the steps in which it did so itself.
+    """
+    kept = [step for step in steps if step.exploring[agent] or not any(step.exploring)]
+    return Transitions.concatenate([step.of_agent(agent) for step in kept])
 
 
 def evaluate(learners: Sequence[Learner], deployment: int) -> Rollout:

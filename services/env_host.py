@@ -45,6 +45,7 @@ class EnvHost:
         self._run, self._session = run, session
         self._description, self._folder = run.description, run.folder
         self._rejections = Rejections()
+        self._schedule = run.schedule
         self._state = HostState.begin(self._folder)
         self._lockstep = HostLockstep(
             session,
@@ -120,18 +121,19 @@ class EnvHost:
         path = self._folder.deployment(k)
         if path.exists():
             return
-        self._enter("deployment", k, self._run.steps)
+        self._enter("deployment", k, self._schedule.steps)
         description = self._description
         env = registry.make(self._run.team.env_id, description.env.copies, description.progress(k))
         rollout = Rollout(env, description.seed, "deployment", k)
         with _recording(path, "the steps recorded so far are kept"):
             writer, last = self._open_log(path, k, rollout)
             try:
-                while rollout.step < self._run.steps:
+                while rollout.step < self._schedule.steps:
                     self._step = rollout.step
                     answers = self._ask("deployment", k, rollout.step, rollout.observations, last)
                     self._check_deployed(k, answers)
-                    last = rollout.advance(_actions(answers), self._greedy)
+                    tags = self._schedule.exploring(rollout.step)
+                    last = rollout.advance(_actions(answers), tags)
                     writer.write(last)
                 self._step = rollout.step
                 self._ask("deployment", k, rollout.step, rollout.observations, last)
@@ -140,7 +142,7 @@ class EnvHost:
                 writer.close()
         env.close()
         self.heartbeat.publish()
-        log.info("deployment %d: %d steps in %s", k, self._run.steps, path.name)
+        log.info("deployment %d: %d steps in %s", k, self._schedule.steps, path.name)
 
     def _open_log(self, path: Path, k: int, rollout: Rollout) -> tuple[LogWriter, JointStep | None]:
         """The log to write, and its last step; `rollout` has caught up with it."""
@@ -178,7 +180,7 @@ class EnvHost:
             Observation(moment, seen, _outcome(last, index) if last else None)
             for index, seen in enumerate(observations)
         ]
-        acting = phase == "evaluation" or step < self._run.steps
+        acting = phase == "evaluation" or step < self._schedule.steps
         return self._lockstep.ask(questions, acting=acting)
 
     @property

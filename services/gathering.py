@@ -13,11 +13,12 @@ class Gathering:
 
     Args:
         copies: E, transitions a step.
+        own: the deployment's steps that belong to this agent's D_k.
         fetch: where steps come from that this process did not see (it was restarted).
     """
 
-    def __init__(self, copies: int, fetch: Fetch) -> None:
-        self._copies, self._fetch = copies, fetch
+    def __init__(self, copies: int, own: range, fetch: Fetch) -> None:
+        self._copies, self._own, self._fetch = copies, own, fetch
         self._deployment = 0
         self._steps: list[Transitions] = []  # E transitions each
         self._acted: tuple[Moment, Float32, Float32] | None = None
@@ -30,11 +31,15 @@ class Gathering:
         """Complete D_k up to the step before the question's."""
         moment = question.moment
         self._begin(moment.deployment)
-        del self._steps[moment.step :]
-        missing = moment.step - len(self._steps)
+        wanted = min(max(moment.step, self._own.start), self._own.stop) - self._own.start
+        del self._steps[wanted:]
+        missing = wanted - len(self._steps)
         if missing == 1 and question.outcome is not None and self._acted is not None:
             before, observations, actions = self._acted
-            if (before.deployment, before.step) == (moment.deployment, moment.step - 1):
+            newest = self._own.start + wanted - 1
+            if (before.deployment, before.step) == (moment.deployment, newest) and (
+                moment.step == newest + 1
+            ):
                 outcome = question.outcome
                 self._steps.append(
                     Transitions(
@@ -47,12 +52,12 @@ class Gathering:
                     )
                 )
                 return
-        self._complete(moment.step)
+        self._complete(wanted)
 
-    def all(self, deployment: int, steps: int) -> Transitions:
-        """D_k whole: all its `steps`, at least one."""
+    def all(self, deployment: int) -> Transitions:
+        """D_k whole."""
         self._begin(deployment)
-        self._complete(steps)
+        self._complete(len(self._own))
         return Transitions.concatenate(self._steps)
 
     def _begin(self, deployment: int) -> None:
@@ -62,7 +67,8 @@ class Gathering:
     def _complete(self, steps: int) -> None:
         have, copies = len(self._steps), self._copies
         if have < steps:
-            fetched = self._fetch(self._deployment, have, steps)
+            start = self._own.start
+            fetched = self._fetch(self._deployment, start + have, start + steps)
             self._steps += [
                 fetched[first : first + copies] for first in range(0, len(fetched), copies)
             ]

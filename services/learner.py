@@ -47,7 +47,10 @@ class LearnerService:
         self._history = History(
             session, run.keys, agent, run.description.env.copies, deadline, rejections
         )
-        self._gathering = Gathering(run.description.env.copies, self._history.fetch)
+        schedule, index = run.schedule, run.team.index(agent.name)
+        self._steps, self._own = schedule.steps, schedule.own(index)
+        self._explores = [schedule.exploring(step)[index] for step in range(schedule.steps)]
+        self._gathering = Gathering(run.description.env.copies, self._own, self._history.fetch)
         self._metrics = MetricsFile(self._folder.metrics(agent.name))
         self._adapted: dict[str, float] = {}  # alpha and similarity of the newest deployment
         self._buffer_complete = True  # whether the learner's buffer holds D_1 .. D_tuned
@@ -106,7 +109,7 @@ class LearnerService:
             self._reach(moment.policy)
             self._answer(Action(moment, None, self._digest))
             return True
-        if moment.phase == "deployment" and moment.step == self._run.steps:
+        if moment.phase == "deployment" and moment.step == self._steps:
             # Everybody's last step is logged: say so at once, then train.
             self._gathering.take(question)
             self._answer(Action(moment, None, self._digest))
@@ -116,7 +119,13 @@ class LearnerService:
         if moment.phase == "deployment":
             self._gathering.take(question)
         observations = question.observations
-        actions = self._learner.act(observations, moment.phase, moment.deployment, moment.step)
+        actions = self._learner.act(
+            observations,
+            moment.phase,
+            moment.deployment,
+            moment.step,
+            exploring=moment.phase == "deployment" and self._explores[moment.step],
+        )
         self._answer(Action(moment, actions, self._digest))
         if moment.phase == "deployment":
             self._gathering.acted(moment, observations, actions)
@@ -139,11 +148,11 @@ class LearnerService:
 
     def _tune(self, k: int) -> None:
         """Line 5 to 16 of Algorithm 1: D_k joins the buffer, alpha adapts, L updates follow."""
-        steps = self._run.steps
         if not self._buffer_complete:
-            self._learner.restore([self._history.fetch(j, 0, steps) for j in range(1, k)])
+            own = (self._own.start, self._own.stop)
+            self._learner.restore([self._history.fetch(j, *own) for j in range(1, k)])
             self._buffer_complete = True
-        self._learner.tune(k, self._gathering.all(k, steps), self._report)
+        self._learner.tune(k, self._gathering.all(k), self._report)
         self._trained()
         self._ready()
 

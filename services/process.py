@@ -21,6 +21,7 @@ from otc_dist.bus.session import CLOSING, local_endpoint
 from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
 from otc_dist.errors import UserError
+from otc_dist.exploration import Schedule
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
@@ -68,9 +69,9 @@ class Run:
         return cls(folder, description, team_spec(description.env.id), Keys(str(run)))
 
     @property
-    def steps(self) -> int:
-        """Lock-steps of a deployment: M / E."""
-        return self.description.deployment.transitions // self.description.env.copies
+    def schedule(self) -> Schedule:
+        """Who explores when in a deployment, and how many lock-steps it has."""
+        return Schedule.of(self.description, len(self.team.agents))
 
     @property
     def copies(self) -> dict[str, int]:

@@ -97,6 +97,17 @@ class DeploymentSection(Section):
         ge=0,
         description="L, updates after each deployment; 0: the algorithm's (Table 3)",
     )
+    exploration: Literal["none", "sequential"] = Field(
+        default="none",
+        description="sequential: each agent in turn explores for M transitions of its own, N M in"
+        " all, while the others exploit",
+    )
+    exploration_noise: float = Field(
+        default=0.1, ge=0, description="standard deviation, in units of the action bound"
+    )
+    exploration_rate: float = Field(
+        default=0.1, ge=0, le=1, description="share of random actions among discrete ones"
+    )
 
 
 class EvaluationSection(Section):

@@ -5,6 +5,7 @@ import shlex
 from collections.abc import Mapping
 from datetime import datetime
 
+from otc_dist.exploration import Schedule
 from otc_dist.report import html
 from otc_dist.report.results import QUICK_LABEL, Row, offline_row, rows, tuned
 from otc_dist.report.run_data import RunData
@@ -86,6 +87,10 @@ def _figures(run: RunData) -> str:
         ]
         if after.gain is not None:
             items.append((_signed(after.gain), "normalised score gained, mean over deployments"))
+    schedule = Schedule.of(run.description, len(run.agents))
+    if schedule.rounds > 1:
+        cost = schedule.steps * run.description.env.copies
+        items.append((f"{cost:,}", f"transitions a deployment: M x {schedule.rounds} explorers"))
     if run.wall_seconds is not None:
         items.append((_duration(run.wall_seconds), "wall time"))
     return html.figures(items) if items else ""

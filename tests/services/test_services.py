@@ -84,26 +84,57 @@ def test_the_env_host_opens_no_agents_data_and_runs_without_torch(finished: Serv
     assert [path for path in record["opened"] if path.startswith(agents)] == []
 
 
-def test_brains_called_in_one_process_come_to_the_same_bytes(finished: Services) -> None:
-    description = Description.load(finished.folder.description)
+def _equals_brains_in_one_process(services: Services) -> None:
+    """The same run without a bus: same steps, policies and returns, to the bit."""
+    description = Description.load(services.folder.description)
     spec = registry.team_spec(description.env.id)
+    task = registry.task(description.env.id)
     learners = []
     for agent in spec.agents:
-        data = store.load_agent(_data_file(finished, agent.name), agent.name)
-        learners.append(Learner(description, agent, data))
+        data = store.load_agent(_data_file(services, agent.name), agent.name)
+        learners.append(Learner(description, agent, data, task))
         learners[-1].pretrain(lambda progress: None, lambda: None)
     for k in (1, 2):
         steps = team.deploy(learners, k)
-        logged = read_steps(finished.folder.deployment(k))
+        logged = read_steps(services.folder.deployment(k))
         for ours, theirs in zip(steps, logged, strict=True):
             assert step_bytes(ours) == step_bytes(theirs)
         for index, learner in enumerate(learners):
             learner.tune(k, team.own_transitions(steps, index), lambda progress: None)
-        evaluation = json.loads(finished.folder.evaluation(k).read_text())
+        evaluation = json.loads(services.folder.evaluation(k).read_text())
         digests = {learner.spec.name: learner.policy_digest() for learner in learners}
         assert digests == evaluation["policies"]
         played = team.evaluate(learners, k)
         assert list(played.episode_returns) == evaluation["returns"]
+
+
+def test_brains_called_in_one_process_come_to_the_same_bytes(finished: Services) -> None:
+    _equals_brains_in_one_process(finished)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "assignments",
+    [
+        ("algorithm.name=awac", "sampling.distance=value"),
+        ("algorithm.name=cql", "sampling.distance=value", "algorithm.hidden=[16, 16]"),
+        ("algorithm.name=td3bc", "sampling.name=balanced", "algorithm.hidden=[16, 16]"),
+        ("algorithm.name=bremen", "algorithm.hidden=[16, 16]"),
+        ("deployment.exploration=sequential",),
+    ],
+)
+def test_everything_a_description_can_ask_for_runs_on_the_bus(
+    make_run: Callable[..., Services], tmp_path: Path, assignments: tuple[str, ...]
+) -> None:
+    """With a learner that dies on the way, in a deployment that it has seen part of."""
+    services = make_run(tmp_path / "run", *assignments)
+    for process in ("host", "agent_0", "agent_2"):
+        services.start(process)
+    services.start("agent_1", kill=["deployment", 2, 15])
+    services.wait("agent_1")
+    services.start("agent_1")
+    assert set(services.wait_all().values()) == {0}, services.output("host")
+    _equals_brains_in_one_process(services)
 
 
 def test_nothing_of_the_bus_stays_behind(finished: Services) -> None:
