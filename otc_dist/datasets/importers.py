@@ -79,7 +79,7 @@ def _name(env_id: str, level: str) -> DatasetName:
     if not plain(level):
         raise UserError(f"{level!r} cannot be a data set's name: use letters, digits and _.-")
     name = DatasetName(env_id, level)
-    if name.made_level:
+    if name.source:
         raise UserError(f"{name} is the name of a data set that we make; choose another --name")
     return name
 

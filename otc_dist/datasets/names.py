@@ -1,6 +1,6 @@
 """Names of data sets and where they lie.
 
-A name is `<env_id>/<level>`: one of `LEVELS`, which are made when they are needed, or the name
+A name is `<env_id>/<level>`: a level that the task's `Source` makes when it is needed, or the name
 that an import gave. The folder of a set is `<cache>/datasets/<env_id>/<level>/<transitions>`.
 """
 
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from otc_dist.cache import cache_root
-from otc_dist.datasets.generate import LEVELS, Level, default_transitions
+from otc_dist.datasets.source import Source
+from otc_dist.datasets.sources import source_of
 from otc_dist.envs import registry
-from otc_dist.envs.robot_specs import PARTITIONS
 from otc_dist.errors import UserError, unknown
 
 
 @dataclass(frozen=True)
 class DatasetName:
-    """A checked name: `env_id` is known, and `level` is one of `LEVELS` or a plain word."""
+    """A checked name: `env_id` is known, and `level` is made or a plain word."""
 
     env_id: str
     level: str
@@ -28,16 +28,15 @@ class DatasetName:
         env_id, _, level = name.partition("/")
         if registry.known(env_id) and plain(level):
             parsed = cls(env_id, level)
-            if parsed.made_level or parsed.sizes():
+            if parsed.source or parsed.sizes():
                 return parsed
         raise unknown("data set", name, map(str, known_names()))
 
     @property
-    def made_level(self) -> Level | None:
-        """The level if we make this set ourselves, at any size; None if it was imported."""
-        if self.env_id not in PARTITIONS:
-            return None
-        return next((level for level in LEVELS if level == self.level), None)
+    def source(self) -> Source | None:
+        """Who makes this set, at any size; None if it was imported."""
+        source = source_of(self.env_id)
+        return source if source and self.level in source.levels(self.env_id) else None
 
     @property
     def folder(self) -> Path:
@@ -53,15 +52,15 @@ class DatasetName:
 
     def usual_size(self) -> int:
         """Transitions if nobody asks for another size; of an imported set, what was imported."""
-        if level := self.made_level:
-            return default_transitions(self.env_id, level)
+        if source := self.source:
+            return source.usual_size(self.env_id, self.level)
         return self.sizes()[-1]
 
     def set_folder(self, transitions: int = 0) -> Path:
         """The folder of the set of that size (0: the usual size). UserError for a bad size."""
         if transitions < 0:
             raise UserError(f"a data set cannot hold {transitions} transitions; ask for 1 or more")
-        if not self.made_level and transitions not in (0, *self.sizes()):
+        if not self.source and transitions not in (0, *self.sizes()):
             raise UserError(
                 f"{self} was imported with {self.usual_size()} transitions and comes in no other "
                 "size; ask for that number, or for 0, which means all"
@@ -78,12 +77,18 @@ def plain(level: str) -> bool:
 
 
 def known_names() -> tuple[DatasetName, ...]:
-    """All data sets that can be had now: those we make, then those imported."""
-    made = [DatasetName(env_id, level) for env_id in PARTITIONS for level in LEVELS]
-    imported = [
-        name
+    """All data sets that can be had now: those we make of the usual tasks, then those cached."""
+    made = [
+        DatasetName(env_id, level)
         for env_id in registry.env_ids()
-        for folder in sorted((cache_root() / "datasets" / env_id).glob("*"))
-        if (name := DatasetName(env_id, folder.name)) not in made and name.sizes()
+        if (source := source_of(env_id))
+        for level in source.levels(env_id)
     ]
-    return tuple(made + imported)
+    cached = [
+        name
+        for folder in sorted((cache_root() / "datasets").glob("*/*"))
+        if registry.known(folder.parent.name)
+        and (name := DatasetName(folder.parent.name, folder.name)) not in made
+        and name.sizes()
+    ]
+    return tuple(made + cached)

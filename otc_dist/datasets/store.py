@@ -10,7 +10,6 @@ all of it is on the disk.
 
 import logging
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +17,11 @@ import numpy as np
 import otc_dist
 from otc_dist.datasets import generate
 from otc_dist.datasets.agent_files import load_agent, load_tensors
-from otc_dist.datasets.behaviour import load_card
 from otc_dist.datasets.card import DatasetCard, episode_returns
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
-from otc_dist.envs.robot_specs import PARTITIONS
 from otc_dist.errors import UserError, unknown
 
 __all__ = ["agent_file", "ensure", "load_agent", "load_joint", "usual_size"]
@@ -62,10 +59,15 @@ def ensure(
     """
     parsed = DatasetName.parse(name)
     folder = parsed.set_folder(transitions)
-    level = parsed.made_level
-    if level is None:
+    source = parsed.source
+    if source is None:
         return _imported(folder)
-    recipe = _recipe(parsed.env_id, level, int(folder.name))
+    recipe = {  # all that determines the rows
+        "level": parsed.level,
+        "seed": str(_SEED),
+        "otc_dist": otc_dist.__version__,
+        **source.recipe(parsed.env_id, parsed.level),
+    }
     card, _ = _inspect(folder, recipe)
     if card is not None:
         return card
@@ -75,7 +77,7 @@ def ensure(
             return card
         if fault is not None:
             _log.warning("making %s again: %s", folder, fault)
-        made = generate.generate(parsed.env_id, level, int(folder.name), _SEED, progress)
+        made = generate.generate(parsed.env_id, parsed.level, int(folder.name), _SEED, progress)
         returns, incomplete = episode_returns(
             np.stack(made.rewards).mean(axis=0, dtype=np.float64),  # the team's: the agents' mean
             made.terminated,
@@ -84,24 +86,8 @@ def ensure(
             registry.team_spec(parsed.env_id).max_episode_steps,
         )
         origin = f"made by otc_dist, seed {_SEED}"
-        provenance = Provenance(origin, recipe, versions("mujoco"), returns, incomplete)
+        provenance = Provenance(origin, recipe, versions(*source.packages), returns, incomplete)
         return publish(parsed, made, provenance)
-
-
-def _recipe(env_id: str, level: generate.Level, transitions: int) -> dict[str, str]:
-    """All that determines the rows of a set that we make."""
-    recipe = {
-        "level": level,
-        "seed": str(_SEED),
-        "otc_dist": otc_dist.__version__,
-        "mujoco": version("mujoco"),
-    }
-    if level != "random":
-        used = {part.policy for part in generate.parts(env_id, level, transitions)}
-        for snapshot in load_card(PARTITIONS[env_id][0].name).snapshots:
-            if (stem := snapshot.file.removesuffix(".safetensors")) in used:
-                recipe[f"policy {stem}"] = snapshot.sha256
-    return recipe
 
 
 def _imported(folder: Path) -> DatasetCard:

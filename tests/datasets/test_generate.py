@@ -6,7 +6,8 @@ import pytest
 
 from otc_dist.datasets import generate as generation
 from otc_dist.datasets.behaviour import load_card, load_policy, snapshot_folder
-from otc_dist.datasets.generate import LEVELS, default_transitions, generate, parts
+from otc_dist.datasets.generate import generate, parts
+from otc_dist.datasets.robot_source import LEVELS
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 
@@ -108,13 +109,6 @@ def test_medium_replay_has_equal_shares_in_training_order(robot):
     assert max(sizes) - min(sizes) <= 1
     (medium,) = parts(env_id, "medium", 1003)
     assert medium.policy == shares[-1].policy
-
-
-def test_sizes_are_those_of_d4rl():
-    assert default_transitions("hopper-3x1", "medium") == 1_000_000
-    assert default_transitions("hopper-3x1", "medium-replay") == 402_000
-    assert default_transitions("halfcheetah-2x3", "medium-replay") == 202_000
-    assert default_transitions("walker2d-2x3", "medium-replay") == 302_000
 
 
 def test_progress_ends_at_the_whole():
