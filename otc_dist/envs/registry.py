@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from otc_dist.envs import robot_specs
+from otc_dist.envs import particle_family, robot_specs, robot_task, skirmish
 from otc_dist.envs.base import BatchedEnv
 from otc_dist.errors import unknown
 from otc_dist.spec import Task, TeamSpec
@@ -28,6 +28,11 @@ def _make_robot(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
     return RobotEnv(env_id, copies)
 
 
+def _make_skirmish(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
+    del progress  # battles stay as they are
+    return skirmish.SkirmishEnv(env_id, copies)
+
+
 _FAMILIES = (
     _Family(
         tuple(robot_specs.PARTITIONS),
@@ -35,6 +40,20 @@ _FAMILIES = (
         robot_specs.team_spec,
         _make_robot,
         robot_specs.reference_returns,
+        robot_task.task,
+    ),
+    _Family(
+        particle_family.USUAL,
+        particle_family.knows,
+        particle_family.team_spec,
+        particle_family.make,
+        task=particle_family.task,
+    ),
+    _Family(
+        tuple(skirmish.SKIRMISHES),
+        skirmish.SKIRMISHES.__contains__,
+        skirmish.team_spec,
+        _make_skirmish,
     ),
 )
 
