@@ -1,18 +1,23 @@
 """The PettingZoo view of an environment: one copy, dictionaries keyed by agent."""
 
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Discrete, Space
 from pettingzoo import ParallelEnv
 
 from otc_dist.envs.base import BatchedEnv
+from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Float32
 
-# PettingZoo gives info dictionaries no type; ours are empty.
-Info = dict[str, object]
+Info = dict[str, object]  # PettingZoo gives info dictionaries no type
+Action = Float32 | np.int64  # a vector, or the index of a discrete action
 
 
-class ParallelView(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]  # it is untyped
+class ParallelView(ParallelEnv[str, Float32, Action]):  # type: ignore[misc]  # it is untyped
     """A PettingZoo `ParallelEnv` over one copy of any `BatchedEnv`.
+
+    Agents with discrete actions find what is available in `infos[agent]["action_mask"]`, int8
+    (choices,), 1 where available; other infos are empty. An action that is not available is
+    refused, so sample by the mask: `action_space(agent).sample(infos[agent]["action_mask"])`.
 
     `reset(seed=s)` starts the episode of seed s; resets without a seed go on with seeds drawn
     from a generator that the last seed given has set.
@@ -34,25 +39,20 @@ class ParallelView(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]  #
             agent.name: Box(-np.inf, np.inf, (agent.observation_size,), np.float32)
             for agent in env.spec.agents
         }
-        self.action_spaces = {
-            agent.name: Box(
-                np.array(agent.action_low, np.float32), np.array(agent.action_high, np.float32)
-            )
-            for agent in env.spec.agents
-        }
+        self.action_spaces = {agent.name: _action_space(agent) for agent in env.spec.agents}
 
     def observation_space(self, agent: str) -> Box:
         """The agent's observations: unbounded float32."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> Box:
-        """The agent's actions: float32 within its bounds."""
+    def action_space(self, agent: str) -> Space[Action]:
+        """The agent's actions: float32 within its bounds, or an index."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, object] | None = None
     ) -> tuple[dict[str, Float32], dict[str, Info]]:
-        """Start an episode; there are no `options`. Returns observations and empty infos."""
+        """Start an episode; there are no `options`. Returns observations and infos."""
         if seed is None:
             episode_seed = int(self._seeds.integers(2**63))
         else:
@@ -60,10 +60,11 @@ class ParallelView(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]  #
             episode_seed = seed
         self._env.reset(np.array([0]), np.array([episode_seed], np.int64))
         self.agents = list(self.possible_agents)
-        return self._observations(), self._infos()
+        observations = self._observations()
+        return observations, self._infos(observations)
 
     def step(
-        self, actions: dict[str, Float32]
+        self, actions: dict[str, Action]
     ) -> tuple[
         dict[str, Float32], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]
     ]:
@@ -71,14 +72,15 @@ class ParallelView(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]  #
 
         Raises:
             ValueError: the episode is over, an agent has no action, or an action has the wrong
-                shape or is not finite.
+                shape, is not finite, or is not available.
         """
         if not self.agents:
             raise ValueError("the episode is over: call reset")
         if set(actions) != set(self.agents):
             raise ValueError(f"actions of {sorted(actions)}, but the agents are {self.agents}")
-        outcome = self._env.step([actions[name][None] for name in self.agents])
-        names, observations, infos = self.agents, self._observations(), self._infos()
+        rows = [np.asarray(actions[name], np.float32).reshape(1, -1) for name in self.agents]
+        outcome = self._env.step(rows)
+        names, observations = self.agents, self._observations()
         terminated, truncated = bool(outcome.terminated[0]), bool(outcome.truncated[0])
         if terminated or truncated:
             self.agents = []
@@ -87,7 +89,7 @@ class ParallelView(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]  #
             {name: float(r[0]) for name, r in zip(names, outcome.rewards, strict=True)},
             dict.fromkeys(names, terminated),
             dict.fromkeys(names, truncated),
-            infos,
+            self._infos(observations),
         )
 
     def close(self) -> None:
@@ -100,5 +102,15 @@ class ParallelView(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]  #
         observed = zip(self._env.spec.names, self._env.observe(), strict=True)
         return {name: rows[0].copy() for name, rows in observed}
 
-    def _infos(self) -> dict[str, Info]:
-        return {name: {} for name in self.possible_agents}
+    def _infos(self, observations: dict[str, Float32]) -> dict[str, Info]:
+        infos: dict[str, Info] = {}
+        for agent in self._env.spec.agents:
+            mask = observations[agent.name][-agent.choices :] if agent.choices else None
+            infos[agent.name] = {} if mask is None else {"action_mask": mask.astype(np.int8)}
+        return infos
+
+
+def _action_space(agent: AgentSpec) -> Space[Action]:
+    if agent.choices:
+        return Discrete(agent.choices)
+    return Box(np.array(agent.action_low, np.float32), np.array(agent.action_high, np.float32))

@@ -1,15 +1,49 @@
 import numpy as np
 import pytest
+from gymnasium.spaces import Discrete
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from otc_dist.envs import registry
 from otc_dist.envs.parallel import ParallelView
 
 
+class _Available(Discrete):
+    """Samples what is available now: PettingZoo's tests for parallel environments know no masks."""
+
+    mask = None
+
+    def sample(self, mask=None, probability=None):
+        return super().sample(mask=self.mask)
+
+
+class _Masked(ParallelView):
+    """The view, with action spaces that follow the infos' masks."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        for name, space in self.action_spaces.items():
+            if isinstance(space, Discrete):
+                self.action_spaces[name] = _Available(space.n)
+
+    def reset(self, seed=None, options=None):
+        observations, infos = super().reset(seed, options)
+        return observations, self._noted(infos)
+
+    def step(self, actions):
+        *outcome, infos = super().step(actions)
+        return *outcome, self._noted(infos)
+
+    def _noted(self, infos):
+        for name, info in infos.items():
+            if "action_mask" in info:
+                self.action_spaces[name].mask = info["action_mask"]
+        return infos
+
+
 @pytest.mark.parametrize("env_id", registry.env_ids())
 def test_pettingzoo_accepts_it(env_id):
-    parallel_api_test(ParallelView(registry.make(env_id, 1)), num_cycles=100)
-    parallel_seed_test(lambda: ParallelView(registry.make(env_id, 1)), num_cycles=20)
+    parallel_api_test(_Masked(registry.make(env_id, 1)), num_cycles=100)
+    parallel_seed_test(lambda: _Masked(registry.make(env_id, 1)), num_cycles=20)
 
 
 def _view():
@@ -52,3 +86,18 @@ def test_what_it_refuses():
         view.step({"agent_0": action})
     with pytest.raises(ValueError, match="not finite"):
         view.step(dict.fromkeys(view.agents, action * np.nan))
+
+
+def test_discrete_actions_are_indices_and_their_masks_are_in_the_infos():
+    view = ParallelView(registry.make("5m_vs_6m", 1))
+    assert view.action_space("agent_0") == Discrete(12)
+    observations, infos = view.reset(seed=1)
+    for name in view.agents:
+        mask = infos[name]["action_mask"]
+        assert mask.dtype == np.int8
+        np.testing.assert_array_equal(mask, observations[name][-12:])
+    _, _, _, _, infos = view.step(dict.fromkeys(view.agents, np.int64(4)))  # east
+    np.testing.assert_array_equal(infos["agent_2"]["action_mask"], [0, 1, 1, 1, 1, 1, *[0] * 6])
+    view.step(dict.fromkeys(view.agents, 1))
+    with pytest.raises(ValueError, match="agent_0 cannot take action 0"):
+        view.step(dict.fromkeys(view.agents, 0))
