@@ -146,8 +146,8 @@ class SkirmishEnv:
 
         alive, after = battle.alive, battle.health[:, count:]
         kills = ((before > 0) & (after == 0)).sum(axis=1)
-        ours: Bool = alive[:, :count].any(axis=1)
-        theirs: Bool = alive[:, count:].any(axis=1)
+        ours: Bool = np.logical_or.reduce(alive[:, :count], axis=1)
+        theirs: Bool = np.logical_or.reduce(alive[:, count:], axis=1)
         self._won = ours & ~theirs & (kills > 0)
         reward = (before - after).sum(axis=1) + KILL_REWARD * kills + WIN_REWARD * self._won
         reward = (reward * self._rules.reward_scale).astype(np.float32)
