@@ -1,9 +1,10 @@
 """Sources of offline data by environment. Another family's is one more line in `_SOURCES`."""
 
+from otc_dist.datasets.random_source import RandomSource
 from otc_dist.datasets.robot_source import RobotSource
 from otc_dist.datasets.source import Source
 
-_SOURCES: tuple[Source, ...] = (RobotSource(),)
+_SOURCES: tuple[Source, ...] = (RobotSource(), RandomSource())
 
 
 def source_of(env_id: str) -> Source | None:
