@@ -36,10 +36,12 @@ def main(argv: list[str]) -> int:
         UserError: anything the user can mend: one line, status 2.
     """
     arguments = _parser().parse_args(argv)
-    arms = arms_of.parse_arms(arguments.arms, arguments.arm)
     seeds = arms_of.parse_seeds(arguments.seeds)
     quick: bool = arguments.quick
-    base = resolve(descriptions.load(arguments.description, arguments.set, None, quick))
+    loaded = descriptions.load(arguments.description, arguments.set, None, quick)
+    names = arms_of.usual(loaded) if arguments.arms is None else arguments.arms
+    arms = arms_of.parse_arms(names, arguments.arm)
+    base = resolve(loaded)
     _check(base, arms, quick)
     name = f"compare-{base.name}{'-quick' if quick else ''}"
     folder = ComparisonFolder((arguments.out or Path("runs") / name).resolve())
@@ -121,10 +123,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("description", help="a shipped description's name, or a TOML file")
     parser.add_argument(
         "--arms",
-        default=",".join(arms_of.USUAL),
         metavar="NAME,NAME",
         help=f"arms to compare; {arms_of.REFERENCE} and {arms_of.NULL} are always among them"
-        " (default: %(default)s)",
+        " (default: OTC by d_e, and by d_q where there is a Q, Balanced Replay and online data"
+        " only)",
     )
     parser.add_argument(
         "--arm",

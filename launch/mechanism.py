@@ -9,6 +9,7 @@ from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison import mechanism_table
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
+from otc_dist.envs import registry
 from otc_dist.errors import UserError
 
 from . import comparison_jobs, descriptions
@@ -49,6 +50,8 @@ def main(argv: list[str]) -> int:
     else:
         base = resolve(descriptions.load(arguments.description, arguments.set, None, quick))
         analysed = base
+    if len(registry.team_spec(base.env.id).agents) < 2:
+        raise UserError(f"the mechanism check is about other agents, and {base.env.id} has none")
     name = analysed.digest()
     jobs = comparison_jobs.mechanism(folder, base, seeds, name, arguments.set)
     # A comparison may be at work in the folder: it is ours only if something must be trained.

@@ -7,10 +7,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn.functional import one_hot
 
 from otc_dist.algorithms.draws import Draws, draw, to_tensors
-from otc_dist.algorithms.interface import Batch, State, unpack
+from otc_dist.algorithms.interface import Batch, State, action_features, unpack
 from otc_dist.description import EmbeddingSection
 from otc_dist.engine import Engine
 from otc_dist.otc.embedding import Embedding, active_dimensions
@@ -82,10 +81,7 @@ class Embedder:
     def _batch(self, rows: Tensor) -> Batch:
         """Transitions of packed rows; a discrete action is told as a one-hot vector."""
         batch = unpack(rows, self._layout)
-        if not self._layout.choices:
-            return batch
-        index = batch.action.squeeze(1).long()
-        return batch._replace(action=one_hot(index, self._layout.choices).to(rows.dtype))
+        return batch._replace(action=action_features(batch.action, self._layout.choices))
 
     def _count_active(self, rows: Tensor) -> int:
         embeddings = torch.empty(len(rows), self._section.size, device=rows.device)

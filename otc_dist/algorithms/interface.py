@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws
@@ -40,6 +41,13 @@ def unpack(rows: Tensor, layout: RowLayout) -> Batch:
         rows[:, layout.next_observation],
         rows[:, layout.terminated],
     )
+
+
+def action_features(actions: Tensor, choices: int) -> Tensor:
+    """Actions (B, a) as a network takes them: a discrete one (B, 1) as a one-hot vector."""
+    if not choices:
+        return actions
+    return (actions == torch.arange(choices, device=actions.device)).to(actions.dtype)
 
 
 class Algorithm(Protocol):

@@ -22,9 +22,15 @@ KNOWN: Arms = {
     "otc-value-shared": (*_VALUE, "sampling.normaliser=shared"),
     REFERENCE: ("sampling.name=uniform",),
     "online-only": ("sampling.name=online-only",),
+    "balanced": ("sampling.name=balanced",),
     NULL: ("sampling.name=uniform", "minibatch_key=1"),
 }
-USUAL = ("otc-embedding", "otc-value", REFERENCE, "online-only")
+_USUAL = ("otc-embedding", "otc-value", "balanced", REFERENCE, "online-only")
+
+
+def usual(base: Description) -> str:
+    """The arms of a comparison that names none, comma-separated; d_q's only with a Q."""
+    return ",".join(name for name in _USUAL if base.algorithm.has_q or KNOWN[name] != _VALUE)
 
 
 def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:

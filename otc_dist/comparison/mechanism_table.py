@@ -11,6 +11,7 @@ from otc_dist.comparison.scores import read_json
 from otc_dist.comparison.tables import aligned
 from otc_dist.errors import UserError
 
+BALANCED = "Balanced Replay"
 UNIFORM = "uniform, other minibatches"
 ORACLE = "oracle: the mismatch itself"
 ONLINE = "D_1 alone, uniform"
@@ -19,6 +20,7 @@ ROWS = (
     "d_q, paper",
     "d_q, shared",
     "d_q, relative",
+    BALANCED,
     "raw (s, a) match, raw s'",
     "nearness in (s, a) alone",
     UNIFORM,
@@ -91,21 +93,25 @@ class Mechanism:
         yield "ratios to uniform sampling (mismatch below 1: nearer to the online dynamics);"
         yield "D_1's own transitions match themselves, so those of B_0 are also told apart"
         head = ["selected by", "mismatch", "mismatch in B_0", "V(s')", "share of D_1"]
-        rows = [
-            [r.name, str(r.mismatch), str(r.offline), str(r.value), str(r.online)]
-            for r in self.rows
-        ]
-        yield from aligned([head, *rows])
+        lines = [head, *(row.cells() for row in self.rows)]
+        if all(math.isnan(row.value.mean) for row in self.rows):  # the algorithm has no Q
+            lines = [[*line[:3], *line[4:]] for line in lines]
+        yield from aligned(lines)
 
 
 def read(paths: Sequence[Path]) -> Mechanism:
-    """Combine the files of some seeds. Raises UserError if one is damaged."""
+    """Combine the files of some seeds, with the rows that the algorithm has.
+
+    Raises:
+        UserError: a file is damaged.
+    """
     files = [read_json(path) for path in paths]
     try:
         uniform = [value for file in files for value in file["uniform_mismatch"].values()]
         rows = [
             Row.of(name, [one for file in files for one in file["selected"][name].values()])
             for name in ROWS
+            if name in files[0]["selected"]
         ]
         first = files[0]
         agents = len(first["uniform_mismatch"])

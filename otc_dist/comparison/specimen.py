@@ -57,24 +57,26 @@ class Specimen:
         self._embedder.embed(rows, out)
         return out
 
-    def recorded(self, rows: Tensor) -> Float32:
-        """The rows' own actions (N, a), in the environment's units."""
-        scaled: Float32 = rows[:, self.layout.action].numpy()
-        return self._scale.unscaled(scaled)
-
-    def act(self, rows: Tensor, random: np.random.Generator) -> Float32:
-        """Actions (N, a), in the environment's units, of its policy in the rows' states."""
+    def gap(self, rows: Tensor, random: np.random.Generator) -> Float32:
+        """How far the rows' own actions are from what its policy would do now: a - pi(s) (N, a),
+        in the environment's units; of discrete actions 1 where they differ, else 0.
+        """
 
         def answer(part: Tensor, noise: Draws) -> Tensor:
             return self.algorithm.act(self.state, unpack(part, self.layout).observation, noise)
 
-        actions = _in_chunks(rows, self.algorithm.acting_noise, random, answer)
-        return self._scale.unscaled(actions.numpy())
+        actions = _in_chunks(rows, self.algorithm.acting_noise, random, answer).numpy()
+        recorded: Float32 = rows[:, self.layout.action].numpy()
+        if self.layout.choices:
+            differs: Float32 = (recorded != actions).astype(np.float32)
+            return differs
+        return self._scale.unscaled(recorded) - self._scale.unscaled(actions)
 
     def next_values(self, rows: Tensor, random: np.random.Generator) -> Tensor:
-        """V(s') (N,), 0 at a terminal s'."""
+        """V(s') (N,), 0 at a terminal s'; not a number if the algorithm has no Q."""
         critic = self.critic
-        assert critic is not None
+        if critic is None:
+            return torch.full((len(rows),), torch.nan)
 
         def value(part: Tensor, noise: Draws) -> Tensor:
             batch = unpack(part, self.layout)

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.interface import State, unpack
+from otc_dist.algorithms.interface import State, action_features, unpack
 from otc_dist.algorithms.networks import Mlp, adam, value_and_gradient
 from otc_dist.otc import priorities
 from otc_dist.otc.samplers import Data, Extent, Gathered, Indices, Selection
@@ -128,10 +128,7 @@ class Balanced:
     def ratio(self, density: Tensor, rows: Tensor) -> Tensor:
         """w(s, a) (B,) of packed rows (B, width), above 0. A discrete action is one-hot."""
         batch = unpack(rows, self.layout)
-        action = batch.action
-        if self.layout.choices:
-            numbers = torch.arange(self.layout.choices, device=action.device)
-            action = (action == numbers).to(rows.dtype)
+        action = action_features(batch.action, self.layout.choices)
         return softplus(EVEN + self.density.apply(density, batch.observation, action).squeeze(-1))
 
     def _fresh(self, extent: Extent, random: np.random.Generator, device: torch.device) -> State:

@@ -22,6 +22,13 @@ def empty(capacity: int, device: torch.device) -> Tensor:
     return torch.zeros(-(-capacity // BLOCK), BLOCK, device=device)
 
 
+def of(values: Tensor) -> tuple[Tensor, Tensor]:
+    """Priorities and sums of rows with the priorities `values` (n,)."""
+    priorities = empty(len(values), values.device)
+    priorities.view(-1)[: len(values)] = _rounded(values)
+    return priorities, priorities.double().sum(1)
+
+
 def fill(priorities: Tensor, start: int, stop: int, value: Tensor | float) -> tuple[Tensor, Tensor]:
     """Priorities with those of rows [start, stop) set to `value`, and the sums (blocks,) float64
     of all blocks.

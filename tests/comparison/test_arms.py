@@ -1,7 +1,15 @@
 import pytest
 
 from otc_dist.comparison import arms as arms_of
-from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, describe, parse_arms, parse_seeds
+from otc_dist.comparison.arms import (
+    KNOWN,
+    NULL,
+    REFERENCE,
+    describe,
+    parse_arms,
+    parse_seeds,
+    usual,
+)
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 
@@ -9,6 +17,14 @@ from otc_dist.errors import UserError
 def test_the_reference_and_the_null_arm_are_always_among_the_arms() -> None:
     assert list(parse_arms("otc-value")) == ["otc-value", REFERENCE, NULL]
     assert list(parse_arms("uniform,online-only")) == [REFERENCE, "online-only", NULL]
+
+
+def test_without_a_q_no_usual_arm_needs_one(base: Description) -> None:
+    assert "otc-value" in usual(base).split(",")
+    without = base.with_assignments("algorithm.name=bremen", "sampling.candidates=512")
+    names = usual(without)
+    assert "otc-value" not in names and "balanced" in names
+    arms_of.check(without, parse_arms(names))
 
 
 def test_an_unknown_arm_is_answered_with_the_nearest() -> None:

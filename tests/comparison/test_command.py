@@ -77,6 +77,14 @@ def test_the_mechanism_takes_the_offline_policies_of_a_comparison_as_they_are(
         mechanism.main(["2agent_walker2d", "--checkpoints", str(finished.root)])
 
 
+def test_the_mechanism_needs_other_agents(base: Description, tmp_path: Path) -> None:
+    alone = base.with_assignments("env.id=hopper-1x3", "dataset.name=medium-replay")
+    folder = ComparisonFolder(tmp_path)
+    folder.description.write_text(alone.to_toml())
+    with pytest.raises(UserError, match="about other agents, and hopper-1x3 has none"):
+        mechanism.main(["3agent_hopper", "--checkpoints", str(tmp_path)])
+
+
 @pytest.mark.slow
 def test_from_nothing_to_the_report_and_the_mechanism(
     tmp_path: Path, tiny_flags: tuple[str, ...]

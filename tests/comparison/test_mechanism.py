@@ -1,10 +1,20 @@
 import math
+from typing import Any
 
 import pytest
 
 from otc_dist.comparison import mechanism, mechanism_table
-from otc_dist.comparison.mechanism_table import ONLINE, ORACLE, ROWS, UNIFORM, Estimate, Mechanism
+from otc_dist.comparison.mechanism_table import (
+    BALANCED,
+    ONLINE,
+    ORACLE,
+    ROWS,
+    UNIFORM,
+    Estimate,
+    Mechanism,
+)
 from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.comparison.specimen import Specimen
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 
@@ -52,6 +62,45 @@ def test_what_was_measured_is_told(measured: Mechanism) -> None:
     assert (measured.pool, measured.minibatches) == (600, 60)
     text = "\n".join(measured.lines())
     assert "2 seeds x 3 agents; 60 minibatches each, from a random 600 rows" in text
+
+
+def test_balanced_replay_selects_what_its_density_ratio_has_learned(
+    finished: ComparisonFolder, base: Description, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The newest data come with a priority of half of all. What they have after L updates is what
+    w, which learned from them, gives them.
+    """
+    monkeypatch.setattr(mechanism, "POOL", 600)
+    monkeypatch.setattr(mechanism, "MINIBATCHES", 20)
+    shares = {}
+    for updates in (1, 30, 400):
+        changed = base.with_assignments(f"deployment.updates={updates}")
+        mechanism.measure(finished, changed, 0, f"{updates}", silent)
+        rows = mechanism_table.read([finished.mechanism(f"{updates}", 0)]).rows
+        shares[updates] = next(row.online.mean for row in rows if row.name == BALANCED)
+    uniform = 80 / 1280
+    assert 0.3 < shares[1] < 0.5
+    assert shares[30] == pytest.approx(uniform, abs=0.03)  # all drawn once, nothing learned yet
+    assert shares[400] > 2 * uniform
+
+
+def test_without_a_q_its_rows_and_values_are_left_out(
+    finished: ComparisonFolder, base: Description, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class WithoutQ(Specimen):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            self.critic = None
+
+    monkeypatch.setattr(mechanism, "Specimen", WithoutQ)
+    monkeypatch.setattr(mechanism, "POOL", 300)
+    monkeypatch.setattr(mechanism, "MINIBATCHES", 3)
+    mechanism.measure(finished, base, 0, "without", silent)
+    found = mechanism_table.read([finished.mechanism("without", 0)])
+    names = [row.name for row in found.rows]
+    assert names == [name for name in ROWS if not name.startswith("d_q")]
+    text = "\n".join(found.lines())
+    assert "V(s')" not in text and "nan" not in text.lower()
 
 
 def test_measuring_again_gives_the_same(finished: ComparisonFolder, base: Description) -> None:

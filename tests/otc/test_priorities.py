@@ -6,16 +6,13 @@ import torch
 from numpy.typing import NDArray
 from scipy import stats
 
-from otc_dist.otc.priorities import BLOCK, RESOLUTION, choose, empty, fill, replace
+from otc_dist.otc.priorities import BLOCK, RESOLUTION, choose, fill, of, replace
 
-CPU = torch.device("cpu")
 Float32 = NDArray[np.float32]
 
 
 def table(values: Float32) -> tuple[torch.Tensor, torch.Tensor]:
-    priorities = empty(len(values), CPU)
-    priorities.view(-1)[: len(values)] = torch.from_numpy(values)
-    return priorities, priorities.double().sum(1)
+    return of(torch.from_numpy(values))
 
 
 def on_grid(values: NDArray[np.float64]) -> Float32:

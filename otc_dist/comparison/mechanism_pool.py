@@ -1,0 +1,122 @@
+"""The rows that the mechanism check selects from, and what only an analysis knows of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from otc_dist import team
+from otc_dist.algorithms.draws import Draws, draw
+from otc_dist.algorithms.interface import State
+from otc_dist.comparison.runs import Tell, restored
+from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.comparison.specimen import Specimen
+from otc_dist.datasets import store
+from otc_dist.description import Description
+from otc_dist.otc import create_sampler
+from otc_dist.otc.samplers import Data, Extent
+from otc_dist.randomness import stream
+from otc_dist.training import BLOCK, train
+from otc_dist.transitions import Float64, Transitions
+
+
+@dataclass(frozen=True)
+class Pool:
+    """One agent's rows: some of B_1, then all of D_1."""
+
+    data: Data
+    size: int  # rows before D_1's
+    mismatch: Tensor  # (N,) l2 distance over all other agents' action components
+    value: Tensor  # (N,) V(s'), not a number without a Q
+    online: Tensor  # (N,) whether it is D_1's
+    priorities: Tensor  # (size,) Balanced Replay's
+
+    def means(self, rows: Tensor) -> Float64:
+        """Of `rows`: mismatch, mismatch of B_0's among them, V(s'), and the share of D_1's."""
+        mismatch, online = self.mismatch[rows], self.online[rows]
+        offline = mismatch[~online]
+        parts = (mismatch, offline, self.value[rows], online.float())
+        return np.array([float(part.mean()) for part in parts])
+
+
+def pools(
+    folder: ComparisonFolder,
+    description: Description,
+    specimens: Sequence[Specimen],
+    wanted: int,
+    tell: Tell,
+) -> list[Pool]:
+    """Each agent's rows of the same joint transitions, up to `wanted` of B_0 and D_1 together."""
+    seed, dataset = description.seed, description.dataset
+    tell(0.0, "deploying")
+    online = team.deploy(restored(folder, description), 1)
+    joint = store.load_joint(dataset.name, dataset.transitions)
+    offline, count = len(joint), len(joint) + description.deployment.transitions
+    size = min(wanted, count)
+    chosen = stream(seed, "mechanism", "pool").choice(count, size, replace=False)
+    numbers = np.concatenate([chosen, np.arange(offline, count)])
+    is_online = torch.from_numpy(numbers >= offline)
+    rows, priorities = [], []
+    for index, specimen in enumerate(specimens):
+        tell(0.1 * index / len(specimens), "Balanced Replay's density ratio")
+        newest = team.own_transitions(online, index)
+        merged = specimen.rows(Transitions.concatenate([joint.of_agent(index), newest]))
+        learned = _balanced_priorities(description, specimen, merged, offline, index)
+        rows.append(merged[torch.from_numpy(numbers)])
+        priorities.append(learned[torch.from_numpy(chosen)])
+    gaps = []  # of each agent, (N, a)
+    for index, (specimen, mine) in enumerate(zip(specimens, rows, strict=True)):
+        tell(0.1 + 0.3 * index / len(rows), "asking the policies what they would do")
+        gaps.append(specimen.gap(mine, stream(seed, "mechanism", "act", index)))
+    tell(0.4, "embeddings and values")
+    return [
+        Pool(
+            Data(mine, specimen.embeddings(mine)),
+            size,
+            torch.from_numpy(np.linalg.norm(np.concatenate(_others(gaps, index), axis=1), axis=1)),
+            specimen.next_values(mine, stream(seed, "mechanism", "value", index)),
+            is_online,
+            priorities[index],
+        )
+        for index, (specimen, mine) in enumerate(zip(specimens, rows, strict=True))
+    ]
+
+
+def _others(gaps: Sequence[NDArray[np.float32]], index: int) -> list[NDArray[np.float32]]:
+    return [gap for j, gap in enumerate(gaps) if j != index]
+
+
+def _balanced_priorities(
+    description: Description, specimen: Specimen, rows: Tensor, offline: int, agent: int
+) -> Tensor:
+    """Balanced Replay's priorities (N,) of all rows of B_1 after the first deployment's L updates,
+    in which w learned and the policy did not.
+    """
+    section = description.with_assignments("sampling.name=balanced").sampling
+    batch = description.algorithm.batch_size
+    sampler = create_sampler(section, specimen.algorithm, specimen.layout, batch, len(rows))
+    extent, data = Extent(offline, offline, len(rows)), Data(rows, rows[:, :0])
+
+    def random(*key: int | str) -> np.random.Generator:
+        return stream(description.seed, "mechanism", "balanced", agent, *key)
+
+    def draw_block(block: int, count: int) -> dict[str, NDArray[np.generic]]:
+        noise = draw(random("noise", block), sampler.noise(), count)
+        return {**sampler.draw(random("minibatches", block), count, extent), **noise}
+
+    def update(state: State, draws: Draws) -> tuple[State, Tensor]:
+        selection = sampler.select(state, sampler.gather(state, data, draws), draws)
+        return {**state, **selection.changed}, selection.guarded.view(1)
+
+    with torch.no_grad():
+        begun = sampler.begin(specimen.state, extent, random("begin"))
+        span = (0, description.deployment.updates)
+        learned = train(begun, update, draw_block, rows.device, span, BLOCK, _ignore)
+    return learned["sampler_priorities"].view(-1)[: len(rows)]
+
+
+def _ignore(state: State, done: int, metrics: list[float]) -> None:
+    pass
