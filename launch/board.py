@@ -33,7 +33,8 @@ class Board:
         if "alpha" in appeared:
             self.events.append(f"{status.process}: {alpha_line(measures)}")
         if "return" in appeared:
-            self.events.append(f"{status.process}: return {appeared['return']:.1f}")
+            won = f", {measures['success']:.1f} % won" if "success" in measures else ""
+            self.events.append(f"{status.process}: return {appeared['return']:.1f}{won}")
         slowest = self._slowest()
         if slowest is None or slowest.phase == "done":
             self.seconds_left = None

@@ -22,6 +22,10 @@ def closing_lines(folder: RunFolder) -> Iterator[str]:
             yield "normalised score: " + _change(
                 offline["score"], last["score"], last["deployment"]
             )
+        if offline["success"] is not None and last["success"] is not None:
+            yield "episodes won, %: " + _change(
+                offline["success"], last["success"], last["deployment"]
+            )
     yield f"report: {folder.report}"
 
 

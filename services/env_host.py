@@ -106,6 +106,7 @@ class EnvHost:
             "policies": policies,
             "seeds": seeds,
             "returns": list(rollout.episode_returns),
+            "successes": None if rollout.successes is None else list(rollout.successes),
             "lengths": list(rollout.episode_lengths),
             "mean_return": mean,
             "normalised_score": registry.normalised_score(env_id, mean),
@@ -113,8 +114,11 @@ class EnvHost:
         with _recording(path, "the evaluation is played again"):
             write_atomically(path, json.dumps(result, indent=1) + "\n")
         self._metrics = {"return": mean}
+        if rollout.successes is not None:
+            self._metrics["success"] = 100 * sum(rollout.successes) / episodes
         self.heartbeat.publish()
-        log.info("evaluation of policy %d: mean return %.2f", k, mean)
+        told = " ".join(f"{name} {value:.2f}" for name, value in self._metrics.items())
+        log.info("evaluation of policy %d, means: %s", k, told)
 
     def _deploy(self, k: int) -> None:
         """Deployment k: M transitions by pi_{k-1}, every step in the log before the next."""

@@ -136,7 +136,10 @@ def _deploy_and_tune(
 def _evaluate(learners: Sequence[Learner], deployment: int) -> Evaluation:
     rollout = team.evaluate(learners, deployment)
     return Evaluation(
-        list(rollout.episode_returns), list(rollout.episode_lengths), _digests(learners)
+        list(rollout.episode_returns),
+        list(rollout.episode_lengths),
+        _digests(learners),
+        None if rollout.successes is None else list(rollout.successes),
     )
 
 

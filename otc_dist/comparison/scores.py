@@ -22,6 +22,12 @@ class Evaluation:
     returns: list[float]  # team return of each episode
     lengths: list[int]  # steps of each episode
     policies: dict[str, str]  # agent -> digest of its policy
+    successes: list[bool] | None = None  # episodes won; None where the task has no such thing
+
+    @property
+    def success(self) -> float | None:
+        """Percent of the episodes won."""
+        return 100 * sum(self.successes) / len(self.successes) if self.successes else None
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,9 @@ class Measure:
 class Arm:
     """What one arm showed.
 
-    `measures` are `return`, `improvement` (percent of |R_0|: it explodes near R_0 = 0), and where
-    the task has reference returns `normalised score` and `gain` (in normalised score, over pi_0).
+    `measures` are `return`, `improvement` (percent of |R_0|: it explodes near R_0 = 0), where the
+    task has reference returns `normalised score` and `gain` (in normalised score, over pi_0), and
+    where its episodes are won or lost `success` (percent won).
     """
 
     name: str
@@ -129,6 +130,8 @@ def summarise(runs: Mapping[str, Sequence[Run]], normalise: Normalise) -> Summar
     arms = []
     for name, values in returns.items():
         measures = _measures(values, normalise)
+        if (won := _successes(runs[name], seeds)) is not None:
+            measures["success"] = _measure(won)
         if name == REFERENCE:
             arms.append(Arm(name, measures, [], None))
             continue
@@ -163,12 +166,24 @@ def _measures(returns: Float64, normalise: Normalise) -> dict[str, Measure]:
     if normalise(0.0) is not None:
         scores = np.vectorize(normalise, otypes=[np.float64])(returns)
         values |= {"normalised score": scores, "gain": scores - scores[:, :1]}
-    return {
-        name: Measure(
-            [Spread.of(column) for column in array.T], Spread.of(array[:, 1:].mean(axis=1))
-        )
-        for name, array in values.items()
-    }
+    return {name: _measure(array) for name, array in values.items()}
+
+
+def _measure(values: Float64) -> Measure:
+    """Of one value a seed and policy, (seeds, K + 1)."""
+    return Measure(
+        [Spread.of(column) for column in values.T], Spread.of(values[:, 1:].mean(axis=1))
+    )
+
+
+def _successes(runs: Sequence[Run], seeds: Sequence[int]) -> Float64 | None:
+    """Percent of the episodes won, (seeds, K + 1); None where the task has no such thing."""
+    found = [
+        [evaluation.success for evaluation in run.evaluations]
+        for run in sorted(runs, key=_seed)
+        if run.seed in seeds
+    ]
+    return None if any(None in of_run for of_run in found) else np.array(found, np.float64)
 
 
 def conclude(arms: Sequence[Arm], seeds: int) -> str:

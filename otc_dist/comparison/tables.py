@@ -8,6 +8,7 @@ from otc_dist.comparison.statistics import RESAMPLES, Spread, Summary, interval
 
 TITLES = {
     "return": "return of the greedy team",
+    "success": "episodes won (%)",
     "normalised score": "normalised score (0: random, 100: expert)",
     "improvement": "improvement over pi_0 (%)",
     "gain": "gain in normalised score over pi_0",

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ class Outcome:
     rewards: tuple[Float32, ...]  # N x (E,)
     terminated: Bool  # (E,)  the task ended
     truncated: Bool  # (E,)  the time limit was reached and the task had not ended
+    # Both at once: the simulator broke off. This step did not happen and its episode does not
+    # count; the copy can be reset and goes on.
 
 
 class BatchedEnv(Protocol):
@@ -76,6 +78,16 @@ class BatchedEnv(Protocol):
 
     def close(self) -> None:
         """Release the simulator."""
+        ...
+
+
+@runtime_checkable
+class Contest(Protocol):
+    """What a `BatchedEnv` has besides where episodes are won or lost."""
+
+    @property
+    def success(self) -> Bool:
+        """In which copies the last step won the episode, (E,)."""
         ...
 
 

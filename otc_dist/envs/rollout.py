@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.envs.base import BatchedEnv
+from otc_dist.envs.base import BatchedEnv, Contest
 from otc_dist.randomness import derive_seed
-from otc_dist.transitions import Float32, JointStep
+from otc_dist.transitions import Bool, Float32, JointStep
 
 Phase = Literal["deployment", "evaluation"]
 
@@ -22,6 +22,7 @@ class Episode:
     number: int  # 0 for the copy's first episode of this rollout
     team_return: float  # mean over the agents of their sums of rewards
     length: int  # steps
+    success: bool | None = None  # whether it was won; None where the task has no such thing
 
 
 class Rollout:
@@ -31,6 +32,7 @@ class Rollout:
     deployment, copy, episode). In an evaluation it is derived from (seed, copy, episode): all
     deployments and all arms of a comparison are judged on the same episodes, and of each copy
     only the first episode counts, because counting those that end in time favours short ones.
+    Episodes that the simulator broke off (see `Outcome`) never count: the next one does instead.
 
     The same arguments and actions give the same bytes, so a rollout that was cut off is continued
     by advancing a new one with the logged actions.
@@ -43,6 +45,7 @@ class Rollout:
         self._seeds = np.zeros(env.copies, np.int64)
         self._returns = np.zeros(env.copies, np.float64)
         self._lengths = np.zeros(env.copies, np.int64)
+        self._counted = np.zeros(env.copies, np.bool_)  # copies with an episode that counts
         self._episodes: list[Episode] = []
         self._reset(np.arange(env.copies))
         # What the agents act on now, N x (E, observation_size). Read only: steps share it.
@@ -89,18 +92,27 @@ class Rollout:
         self._lengths += 1
         (ended,) = (outcome.terminated | outcome.truncated).nonzero()
         if len(ended):
-            self._finish(ended)
+            self._finish(ended, outcome.terminated & outcome.truncated)
             self.observations = env.observe()
         else:
             self.observations = successors
         return joint_step
 
-    def _finish(self, ended: NDArray[np.int64]) -> None:
+    def _finish(self, ended: NDArray[np.int64], broken: Bool) -> None:
+        won = self._env.success if isinstance(self._env, Contest) else None
         for copy in ended.tolist():
-            number = int(self._numbers[copy])
-            if number == 0 or self._phase == "deployment":
-                team_return, length = float(self._returns[copy]), int(self._lengths[copy])
-                self._episodes.append(Episode(copy, number, team_return, length))
+            if broken[copy] or (self._counted[copy] and self._phase == "evaluation"):
+                continue
+            self._counted[copy] = True
+            self._episodes.append(
+                Episode(
+                    copy,
+                    int(self._numbers[copy]),
+                    float(self._returns[copy]),
+                    int(self._lengths[copy]),
+                    None if won is None else bool(won[copy]),
+                )
+            )
         self._numbers[ended] += 1
         self._returns[ended] = 0.0
         self._lengths[ended] = 0
@@ -124,6 +136,13 @@ class Rollout:
         return tuple(episode.length for episode in self.episodes)
 
     @property
+    def successes(self) -> tuple[bool, ...] | None:
+        """Which of `episodes` were won, in their order; None where the task has no such thing."""
+        if not isinstance(self._env, Contest):
+            return None
+        return tuple(bool(episode.success) for episode in self.episodes)
+
+    @property
     def finished(self) -> bool:
-        """Whether every copy has ended its first episode: an evaluation is complete."""
-        return bool((self._numbers > 0).all())
+        """Whether every copy has ended an episode that counts: an evaluation is complete."""
+        return bool(self._counted.all())

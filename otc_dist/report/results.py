@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from otc_dist.report.run_data import Evaluation, RunData
@@ -19,6 +19,7 @@ class Row:
     returns: Spread
     score: float | None  # normalised, of the mean return
     length: float | None  # mean, steps
+    success: float | None  # percent of the episodes won; None where the task has no such thing
     improvement: float | None = None  # percent of the offline return
     gain: float | None = None  # difference in normalised score to the offline one
 
@@ -40,8 +41,14 @@ def _row(evaluation: Evaluation) -> Row | None:
     if returns is None:
         return None
     length = Spread.of([float(value) for value in evaluation.lengths])
-    score = evaluation.normalised_score
-    return Row(evaluation.deployment, returns, score, length.mean if length else None)
+    won = Spread.of([100.0 * value for value in evaluation.successes or []])
+    return Row(
+        evaluation.deployment,
+        returns,
+        evaluation.normalised_score,
+        length.mean if length else None,
+        won.mean if won else None,
+    )
 
 
 def compare(row: Row, offline: Row | None) -> Row:
@@ -62,6 +69,7 @@ class Tuned:
     last: Row
     mean_return: float
     mean_score: float | None
+    mean_success: float | None  # percent
     improvement: float | None  # of the mean over deployments, percent
     gain: float | None  # of the mean over deployments, normalised score
 
@@ -73,15 +81,21 @@ def tuned(run: RunData) -> Tuned | None:
         return None
     offline = offline_row(run)
     mean_return = sum(row.returns.mean for row in after) / len(after)
-    scores = [row.score for row in after if row.score is not None]
-    mean_score = sum(scores) / len(scores) if len(scores) == len(after) else None
+    mean_score = _mean([row.score for row in after])
     return Tuned(
         after[-1],
         mean_return,
         mean_score,
+        _mean([row.success for row in after]),
         improvement(mean_return, offline.returns.mean) if offline else None,
         _difference(mean_score, offline.score) if offline else None,
     )
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """None if one is missing."""
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if len(known) == len(values) else None
 
 
 def _difference(score: float | None, offline: float | None) -> float | None:

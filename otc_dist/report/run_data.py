@@ -25,6 +25,7 @@ class Evaluation:
     seeds: list[int]
     normalised_score: float | None  # of the mean; None where the task has no reference returns
     policies: dict[str, str]  # agent -> digest of the policy that acted
+    successes: list[bool] | None = None  # episodes won; None where the task has no such thing
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ def _read_object(path: Path) -> dict[str, object]:
 
 def _read_evaluation(path: Path) -> Evaluation:
     data = json.loads(path.read_bytes())
-    score = data["normalised_score"]
+    score, successes = data["normalised_score"], data.get("successes")
     evaluation = Evaluation(
         deployment=int(data["evaluation"]),
         returns=[float(value) for value in data["returns"]],
@@ -149,6 +150,7 @@ def _read_evaluation(path: Path) -> Evaluation:
         seeds=[int(value) for value in data["seeds"]],
         normalised_score=None if score is None else float(score),
         policies={str(agent): str(digest) for agent, digest in data["policies"].items()},
+        successes=None if successes is None else [bool(value) for value in successes],
     )
     if not evaluation.returns or not all(map(math.isfinite, evaluation.returns)):
         raise ValueError("no returns, or a return that is not finite")

@@ -7,9 +7,10 @@ from datetime import datetime
 
 from otc_dist.exploration import Schedule
 from otc_dist.report import html
-from otc_dist.report.results import QUICK_LABEL, Row, offline_row, rows, tuned
+from otc_dist.report.results import QUICK_LABEL, offline_row, rows, tuned
+from otc_dist.report.returns import percent, returns_table, signed
 from otc_dist.report.run_data import RunData
-from otc_dist.report.svg import MINUS, NOTHING, Reference, Series, line_chart, number
+from otc_dist.report.svg import NOTHING, Reference, Series, line_chart, number
 
 _WIDE_RANGE = 20.0  # beyond this ratio of the largest to the smallest, a logarithmic axis
 _MOST_POINTS = 300  # of one training curve; more cannot be seen
@@ -43,7 +44,7 @@ def render(run: RunData) -> str:
                     "", _tuning_chart(run, "similarity", "Expected similarity 𝔻 (Eq. 4)", "𝔻")
                 ),
             ),
-            _returns_table(run),
+            returns_table(run),
             _learners(run),
             _dataset(run),
             _provenance(run),
@@ -83,10 +84,12 @@ def _figures(run: RunData) -> str:
         items += [
             (number(after.last.returns.mean), f"return after deployment {after.last.deployment}"),
             (number(after.mean_return), "return, mean over deployments"),
-            (_signed(after.improvement, " %"), "improvement, mean over deployments"),
+            (signed(after.improvement, " %"), "improvement, mean over deployments"),
         ]
         if after.gain is not None:
-            items.append((_signed(after.gain), "normalised score gained, mean over deployments"))
+            items.append((signed(after.gain), "normalised score gained, mean over deployments"))
+        if after.mean_success is not None:
+            items.append((percent(after.mean_success), "episodes won, mean over deployments"))
     schedule = Schedule.of(run.description, len(run.agents))
     if schedule.rounds > 1:
         cost = schedule.steps * run.description.env.copies
@@ -138,49 +141,6 @@ def _tuning_chart(run: RunData, field: str, title: str, label: str) -> str:
         logarithmic=wide,
         width=480,
         height=300,
-    )
-
-
-def _returns_table(run: RunData) -> str:
-    table, after = rows(run), tuned(run)
-    if not table:
-        return ""
-
-    def cells(name: str, row: Row) -> list[str]:
-        spread = row.returns
-        return [
-            name,
-            str(spread.count),
-            number(spread.mean),
-            number(spread.std),
-            f"{number(spread.minimum)} … {number(spread.maximum)}",
-            number(row.length) if row.length is not None else NOTHING,
-            number(row.score) if row.score is not None else NOTHING,
-            _signed(row.gain),
-            _signed(row.improvement, " %"),
-        ]
-
-    body = [cells("offline" if r.deployment == 0 else str(r.deployment), r) for r in table]
-    if after:
-        body.append(
-            [
-                "mean over deployments", "", number(after.mean_return), "", "", "",
-                number(after.mean_score) if after.mean_score is not None else NOTHING,
-                _signed(after.gain), _signed(after.improvement, " %"),
-            ]
-        )  # fmt: skip
-    head = [
-        "deployment", "episodes", "mean", "std", "range", "length",
-        "normalised", "gained", "improvement",
-    ]  # fmt: skip
-    return html.section(
-        "Returns",
-        html.table(head, body, sums=1 if after else 0),
-        html.note(
-            "Normalised: 0 is the random policy, 100 the expert. Gained: normalised score beyond"
-            " the offline one. Improvement: 100 (R_k - R_0) / |R_0|, which explodes where the"
-            " offline return is near 0."
-        ),
     )
 
 
@@ -301,12 +261,6 @@ def _moment(text: object) -> str:
         return datetime.fromisoformat(str(text)).strftime("%Y-%m-%d %H:%M %Z").strip()
     except ValueError:
         return str(text or "")
-
-
-def _signed(value: float | None, unit: str = "") -> str:
-    if value is None or not math.isfinite(value):
-        return NOTHING
-    return f"{value:+,.1f}{unit}".replace("-", MINUS)
 
 
 def _duration(seconds: float) -> str:

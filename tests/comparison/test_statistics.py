@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from otc_dist.comparison import tables
 from otc_dist.comparison.arms import NULL, REFERENCE
 from otc_dist.comparison.scores import Evaluation, Run
 from otc_dist.comparison.statistics import Difference, Summary, bootstrap, summarise
@@ -42,6 +43,23 @@ def test_measures_by_hand() -> None:
     assert improvement.over_deployments.mean == pytest.approx((40 + 20) / 2)
     assert arm.measures["normalised score"].deployments[0].mean == 15
     assert arm.measures["gain"].deployments[2].mean == pytest.approx((5 + 6) / 2)
+
+
+def test_episodes_won_are_told_where_a_task_has_them() -> None:
+    won = {"uniform": [[True, False], [True, True]], "uniform-null": [[False, False], [False] * 2]}
+    runs = {
+        name: [
+            Run(name, seed, "", [Evaluation([1, 2], [5, 5], {}, of_policy) for of_policy in found])
+            for seed in (0, 1)
+        ]
+        for name, found in won.items()
+    }
+    summary = summarise(runs, lambda value: None)
+    measure = summary.arm("uniform").measures["success"]
+    assert [spread.mean for spread in measure.deployments] == [50, 100]
+    assert measure.over_deployments.mean == 100
+    assert "episodes won (%), mean ± std over seeds" in "\n".join(tables.text(summary))
+    assert "episodes won" not in "\n".join(tables.text(compare(**SMALL)))
 
 
 def test_improvement_is_relative_to_the_size_of_the_offline_return() -> None:

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from otc_dist.envs import registry
+from otc_dist.envs.base import Outcome
 from otc_dist.envs.rollout import Rollout
+from otc_dist.spec import AgentSpec, TeamSpec
 
 EXPLORING = (True, True, False)
 
@@ -95,6 +97,64 @@ def test_evaluation_counts_one_episode_a_copy_in_the_order_of_copies():
     assert rollout.finished
     assert [episode.copy for episode in rollout.episodes] == list(range(6))
     assert all(episode.number == 0 for episode in rollout.episodes)
+
+
+class _Scripted:
+    """Two copies of a game of three steps that is won on odd seeds, and breaks off on `broken`."""
+
+    def __init__(self, broken=()):
+        agent = AgentSpec("agent_0", 1, (-1.0,), (1.0,))
+        self.spec, self.copies = TeamSpec("scripted", (agent,), 1, 3), 2
+        self._broken, self._seeds, self._time = broken, np.zeros(2, np.int64), np.zeros(2)
+        self.started = []
+
+    def reset(self, which, seeds):
+        self._seeds[which], self._time[which] = seeds, 0
+        self.started += zip(which.tolist(), seeds.tolist(), strict=True)
+
+    def observe(self):
+        return (self._time[:, None].astype(np.float32),)
+
+    def state(self):
+        return self._time[:, None].copy()
+
+    def step(self, actions):
+        self._time += 1
+        broken = np.array([len(self.started) - 1 in self._broken] * 2) & (self._time == 2)
+        ended = self._time == 3
+        self.success = ended & (self._seeds % 2 == 1)
+        return Outcome((np.ones(2, np.float32),), ended | broken, broken)
+
+
+def _scripted(phase, steps, broken=()):
+    env = _Scripted(broken)
+    rollout = Rollout(env, 0, phase, 1)
+    for _ in range(steps):
+        rollout.advance([np.zeros((2, 1), np.float32)], (False,))
+    return rollout, [seed for _, seed in env.started]
+
+
+@pytest.mark.parametrize("phase", ["deployment", "evaluation"])
+def test_episodes_are_won_or_lost_where_the_task_says_so(phase):
+    rollout, seeds = _scripted(phase, 6)
+    assert rollout.successes == tuple(seed % 2 == 1 for seed in seeds[: len(rollout.episodes)])
+    assert [episode.success for episode in rollout.episodes] == list(rollout.successes)
+    hopper, _ = _play(3, "deployment", 0)
+    assert hopper.successes is None
+    assert hopper.episodes[0].success is None
+
+
+def test_an_episode_that_the_simulator_broke_off_does_not_count():
+    # Both copies break off in their second step; then each starts another episode.
+    rollout, seeds = _scripted("evaluation", 4, broken={1})
+    assert not rollout.finished
+    assert rollout.episodes == ()
+    rollout, seeds = _scripted("evaluation", 5, broken={1})
+    assert rollout.finished
+    assert [(one.number, one.length, one.team_return) for one in rollout.episodes] == [
+        (1, 3, 3)
+    ] * 2
+    assert rollout.successes == tuple(seed % 2 == 1 for seed in seeds[2:4])
 
 
 def test_steps_keep_the_actions_as_sent():

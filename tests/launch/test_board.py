@@ -42,6 +42,12 @@ def test_alpha_and_returns_are_events_when_they_change() -> None:
     ]
 
 
+def test_a_return_is_told_with_the_share_of_episodes_won() -> None:
+    seen = board()
+    seen.take(status("host", "evaluation", 1, **{"return": 12.34, "success": 46.9}), clock=0.0)
+    assert seen.drain_events()[-1] == "host: return 12.3, 46.9 % won"
+
+
 def test_the_time_to_go_is_that_of_the_slowest_agent() -> None:
     seen = board()
     seen.take(status("agent_0", "offline", update=50), clock=0.0)

@@ -106,6 +106,18 @@ def test_a_task_without_reference_returns_has_no_score(made) -> None:
     assert results["tuned"]["improvement"] is not None and "+200.0 %" in page.text
 
 
+def test_a_task_whose_episodes_are_won_shows_how_many(made) -> None:
+    _, page = report(made)
+    assert "won" not in page.text
+    for k, won in enumerate([[False, False], [True, False], [True, True], [True, True]]):
+        data = json.loads(made.folder.evaluation(k).read_text())
+        made.folder.evaluation(k).write_text(json.dumps(data | {"successes": won}))
+    results, page = report(made)
+    assert [row["success"] for row in results["table"]] == [0, 50, 100, 100]
+    assert results["tuned"]["mean_success"] == pytest.approx(250 / 3)
+    assert "83.3 %" in page.text and "episodes won" in page.text
+
+
 def test_a_quick_run_is_labelled(made) -> None:
     made.write_record(quick=True)
     results, page = report(made)
