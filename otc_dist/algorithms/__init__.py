@@ -5,6 +5,7 @@ from typing import Any
 
 from otc_dist.algorithms.awac import Awac
 from otc_dist.algorithms.bcq import Bcq
+from otc_dist.algorithms.cql import Cql
 from otc_dist.algorithms.interface import Algorithm
 from otc_dist.algorithms.td3bc import Td3Bc
 from otc_dist.description import AlgorithmSection
@@ -14,6 +15,7 @@ from otc_dist.spec import AgentSpec, Task
 _ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
     "bcq": Bcq,
     "awac": Awac,
+    "cql": Cql,
     "td3bc": Td3Bc,
 }
 _PLANNING: dict[str, Callable[..., Algorithm]] = {}  # take the task as well

@@ -66,8 +66,9 @@ class Cql(ActorCritic):
         The actor sees the new temperature; otherwise all see the state before the update.
         """
         new = dict(state, updates=state["updates"] + 1)
-        here = self.policy(state["actor"], batch.observation)
-        there = self.policy(state["actor"], batch.next_observation)
+        states = torch.stack((batch.observation, batch.next_observation))
+        means, log_stds = self.policy(state["actor"], states)
+        here, there = (means[0], log_stds[0]), (means[1], log_stds[1])
 
         _, log_density = sample_squashed(*here, noise["actor"])
         new, _ = descend(
