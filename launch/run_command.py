@@ -24,8 +24,10 @@ def main(argv: list[str]) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
     if arguments.list:
-        for name, path in descriptions.shipped().items():
-            print(f"{name:20} {Description.load(path).summary}")
+        shipped = descriptions.shipped()
+        width = max(map(len, shipped))
+        for name, path in shipped.items():
+            print(f"{name:{width}} {Description.load(path).summary}")
         return 0
     try:
         if arguments.resume is not None:

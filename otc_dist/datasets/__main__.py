@@ -22,11 +22,11 @@ Offline data sets B_0: one file an agent, with only that agent's <s, a_i, r, s'>
 
 Data sets we make have the name ENVIRONMENT/LEVEL, where LEVEL is
   random          uniformly random actions
-  medium          samples of a behaviour policy of D4RL's medium level
+  medium          samples of a behaviour policy; of a robot, of D4RL's medium level
   medium-replay   a mixture of the policies on the way there, from the untrained one on
-They are made by playing the behaviour policies that come with this package, once, and kept in
-the cache. The same name and size give the same bytes. They are not D4RL's; those, and Minari's,
-can be imported.
+Robots have all three, other tasks those that `list` tells. They are made by playing the behaviour
+policies that come with this package, once, and kept in the cache. The same name and size give the
+same bytes. They are not D4RL's; those, and Minari's, can be imported.
 """
 EXAMPLES = """\
 examples:
