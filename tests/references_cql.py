@@ -120,3 +120,67 @@ def follow(networks: Sequence[Network], targets: Sequence[Network], tau: float) 
         for network, target in zip(networks, targets, strict=True):
             for p, average in zip(network.parameters(), target.parameters(), strict=True):
                 average.copy_(tau * p + (1 - tau) * average)
+
+
+@dataclass
+class DiscreteCql:
+    """Double DQN with the conservative term; state by state, over lists of available actions."""
+
+    s: int
+    choices: int
+    hidden: Sequence[int]
+    rate: float
+    tau: float
+    weight: float
+    discount: float = 0.99
+
+    def __post_init__(self) -> None:
+        self.critic = Network(self.s, self.hidden, self.choices)
+        self.target_critic = Network(self.s, self.hidden, self.choices)
+        self.adam = torch.optim.Adam(self.critic.parameters(), lr=self.rate)
+
+    def load(self, state: Mapping[str, Tensor]) -> None:
+        set_flat([self.critic], state["critic"])
+        set_flat([self.target_critic], state["critic_target"])
+
+    def weights(self) -> dict[str, Tensor]:
+        return {
+            "critic": get_flat([self.critic]),
+            "critic_target": get_flat([self.target_critic]),
+        }
+
+    def available(self, s: Tensor) -> list[int]:
+        mask = s[len(s) - self.choices :].tolist()
+        return [index for index, entry in enumerate(mask) if entry > 0]
+
+    def best(self, s: Tensor) -> list[int]:
+        """The index of the best available action of each state, one state at a time."""
+        return [
+            max(self.available(state), key=lambda index, values=q: float(values[index]))
+            for state, q in zip(s, self.critic(s), strict=True)
+        ]
+
+    def value(self, s: Tensor) -> Tensor:
+        q = self.critic(s)
+        return torch.stack([q[row, index] for row, index in enumerate(self.best(s))])
+
+    def act(self, s: Tensor) -> Tensor:
+        return torch.tensor([[float(index)] for index in self.best(s)], dtype=torch.float64)
+
+    def update(self, batch: Sequence[Tensor], noise: Mapping[str, Tensor]) -> list[float]:
+        s, a, r, next_s, done = batch
+        with torch.no_grad():
+            next_q, best = self.target_critic(next_s), self.best(next_s)
+        losses, targets = [], []
+        for row, q in enumerate(self.critic(s)):
+            index = int(a[row])
+            y = r[row] if done[row] else r[row] + self.discount * next_q[row, best[row]]
+            error = (q[index] - y).abs()
+            huber = 0.5 * error**2 if error <= 1 else error - 0.5
+            gap = torch.log(torch.exp(q[self.available(s[row])]).sum()) - q[index]
+            losses.append(huber + self.weight * gap)
+            targets.append(y)
+        loss = torch.stack(losses).mean()
+        step(self.adam, loss)
+        follow([self.critic], [self.target_critic], self.tau)
+        return [loss.item(), torch.stack(targets).mean().item()]

@@ -6,6 +6,7 @@ from typing import Any
 from otc_dist.algorithms.awac import Awac
 from otc_dist.algorithms.bcq import Bcq
 from otc_dist.algorithms.cql import Cql
+from otc_dist.algorithms.discrete_cql import DiscreteCql
 from otc_dist.algorithms.interface import Algorithm
 from otc_dist.algorithms.td3bc import Td3Bc
 from otc_dist.description import AlgorithmSection
@@ -16,6 +17,7 @@ _ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
     "bcq": Bcq,
     "awac": Awac,
     "cql": Cql,
+    "discrete-cql": DiscreteCql,
     "td3bc": Td3Bc,
 }
 _PLANNING: dict[str, Callable[..., Algorithm]] = {}  # take the task as well

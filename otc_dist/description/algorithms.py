@@ -103,6 +103,9 @@ class DiscreteCqlSection(LargeSection):
     name: Literal["discrete-cql"] = "discrete-cql"
     critic_learning_rate: float = Field(default=1e-4, gt=0)
     target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+    weight: float = Field(
+        default=1.0, ge=0, description="alpha of the conservative term, as in the published codes"
+    )
 
 
 class Td3BcSection(LargeSection):

@@ -18,6 +18,12 @@ UPDATES, BATCH = 120, 32
 FLOAT32_UPDATES = 20  # beyond some tens of updates float32 diverges chaotically
 
 
+class Batches(Protocol):
+    """Makes a random batch."""
+
+    def __call__(self, random: np.random.Generator, s: int, a: int, size: int) -> Batch: ...
+
+
 class Plain(Protocol):
     """An algorithm as modules, autograd and torch.optim.Adam, which already has its weights."""
 
@@ -27,7 +33,12 @@ class Plain(Protocol):
 
 
 def assert_equals_plain(
-    algorithm: Algorithm, plain: Plain, state: State, sizes: tuple[int, int], spread: float = 1.0
+    algorithm: Algorithm,
+    plain: Plain,
+    state: State,
+    sizes: tuple[int, int],
+    spread: float = 1.0,
+    batches: Batches = random_batch,
 ) -> State:
     """Same metrics and weights in float64 for 120 updates from the same batches and noise.
 
@@ -40,7 +51,7 @@ def assert_equals_plain(
     """
     random = np.random.default_rng(1)
     for _ in range(UPDATES):
-        batch = random_batch(random, *sizes, BATCH)
+        batch = batches(random, *sizes, BATCH)
         drawn = first(draw(random, algorithm.noise(BATCH), 1))
         noise = {name: spread * tensor for name, tensor in drawn.items()}
         state, metrics = algorithm.update(state, batch, noise)
@@ -66,20 +77,22 @@ def assert_pure(
         assert torch.equal(new[name], tensor) == (name in constant), name
 
 
-def assert_engines_agree(algorithm: Algorithm, sizes: tuple[int, int]) -> None:
+def assert_engines_agree(
+    algorithm: Algorithm, sizes: tuple[int, int], batches: Batches = random_batch
+) -> None:
     """Compiled and eager updates have the same metrics, to float32's rounding."""
     random = np.random.default_rng(1)
-    batches = [
-        Batch(*(field.float() for field in random_batch(random, *sizes, BATCH)))
+    inputs = [
+        Batch(*(field.float() for field in batches(random, *sizes, BATCH)))
         for _ in range(FLOAT32_UPDATES)
     ]
-    draws = draw(random, algorithm.noise(BATCH), len(batches))
-    initial = algorithm.initial_state(random, batches[0])
+    draws = draw(random, algorithm.noise(BATCH), len(inputs))
+    initial = algorithm.initial_state(random, inputs[0])
     metrics = []
     for engine in (Engine("eager"), Engine("compiled")):
         state: State = {name: torch.from_numpy(array) for name, array in initial.items()}
         update, history = engine.fuse(algorithm.update), []
-        for index, batch in enumerate(batches):
+        for index, batch in enumerate(inputs):
             noise = {name: torch.from_numpy(array[index]) for name, array in draws.items()}
             state, values = update(state, batch, noise)
             history.append(values)
