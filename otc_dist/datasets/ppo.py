@@ -1,13 +1,14 @@
-"""PPO for one robot (Schulman et al. 2017), which trains the behaviour policies.
+"""PPO for one team (Schulman et al. 2017), which trains the behaviour policies.
 
 With the implementation details of CleanRL's `ppo_continuous_action`: observation normalisation,
 reward scaling by the running deviation of the discounted return, generalised advantage
 estimation, clipped value loss, orthogonal initialisation. An episode that a time limit ended is
 bootstrapped from the value of its last state.
+
+Several agents share one network, each acts on its own observation (independent PPO with shared
+parameters, de Witt et al. 2020), and their experience is that of so many more copies.
 """
 
-import itertools
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,13 +16,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from otc_dist.datasets.behaviour import LAYERS, OBSERVATION_CLIP
-from otc_dist.envs.robot_specs import single_agent_id
-from otc_dist.envs.robots import RobotEnv
+from otc_dist.datasets.behaviour import OBSERVATION_CLIP
+from otc_dist.datasets.ppo_models import Tensors, actor_critic
+from otc_dist.envs.base import BatchedEnv, Contest
 from otc_dist.randomness import derive_seed
 from otc_dist.transitions import Float32, Float64
-
-Tensors = dict[str, Float32]  # as `BehaviourPolicy` takes them
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,9 @@ class Settings:
     gae_lambda: float = 0.95
     clip: float = 0.2
     value_weight: float = 0.5
+    entropy_weight: float = 0.0
     gradient_norm: float = 0.5
-    initial_std: float = 1.0  # of the actions, whose bounds are -1 and 1
+    initial_std: float = 1.0  # of continuous actions, whose bounds are -1 and 1
 
 
 class RunningMoments:
@@ -59,80 +59,61 @@ class RunningMoments:
         self.count = total
 
 
-def _network(sizes: tuple[int, ...], last_gain: float) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for index, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
-        last = index == len(sizes) - 2
-        layer = nn.Linear(inputs, outputs)
-        nn.init.orthogonal_(layer.weight, last_gain if last else math.sqrt(2))
-        nn.init.zeros_(layer.bias)
-        layers += [layer] if last else [layer, nn.Tanh()]
-    return nn.Sequential(*layers)
-
-
-class ActorCritic(nn.Module):
-    """Two separate 64x64 tanh networks over the normalised observation."""
-
-    def __init__(self, observations: int, actions: int, initial_std: float) -> None:
-        super().__init__()
-        self.actor = _network((observations, 64, 64, actions), 0.01)
-        self.critic = _network((observations, 64, 64, 1), 1.0)
-        self.log_std = nn.Parameter(torch.full((actions,), math.log(initial_std)))
-
-    def log_probability(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """log pi(a|s) of unclipped actions (n, A): (n,)."""
-        means: Tensor = self.actor(observations)
-        z = (actions - means) * torch.exp(-self.log_std)
-        return (-0.5 * z * z - self.log_std - 0.5 * math.log(2 * math.pi)).sum(-1)
-
-    def value(self, observations: Tensor) -> Tensor:
-        """V(s), (n,)."""
-        values: Tensor = self.critic(observations)
-        return values.squeeze(-1)
-
-
 @dataclass(frozen=True)
 class Batch:
-    """One iteration's experience, (horizon, copies, ...)."""
+    """One iteration's experience, (horizon, agents x copies, ...)."""
 
-    observations: Tensor  # normalised
+    observations: Tensor  # normalised if actions are continuous
     actions: Tensor  # not clipped
     log_probabilities: Tensor
     values: Tensor
     rewards: Tensor  # scaled; at a truncation with the discounted value of s' added
     ends: Tensor  # 1 where an episode ended after the step
-    last_value: Tensor  # (copies,)
+    last_value: Tensor  # (agents x copies,)
 
 
 class Trainer:
-    """PPO on one robot, with its environments and its running statistics."""
+    """PPO on one task, with its environments and its running statistics.
 
-    def __init__(self, robot: str, seed: int, settings: Settings) -> None:
-        torch.manual_seed(derive_seed(seed, robot, "behaviour_training"))
-        self.robot, self.seed, self.settings = robot, seed, settings
-        self.env = RobotEnv(single_agent_id(robot), settings.copies)
-        agent = self.env.spec.agents[0]
-        self.model = ActorCritic(agent.observation_size, agent.action_size, settings.initial_std)
+    Args:
+        name: of the task, for the keys of random numbers.
+        env: `settings.copies` copies of it. Its agents are alike.
+    """
+
+    def __init__(self, name: str, env: BatchedEnv, seed: int, settings: Settings) -> None:
+        torch.manual_seed(derive_seed(seed, name, "behaviour_training"))
+        self.name, self.env, self.seed, self.settings = name, env, seed, settings
+        agent = env.spec.agents[0]
+        self.model = actor_critic(agent, settings.initial_std)
         self.optimizer = torch.optim.Adam(
             self.model.parameters(), lr=settings.learning_rate, eps=1e-5
         )
+        self._agents = len(env.spec.agents)
+        self._normalises = not agent.choices  # masks must stay as they are
         self.observation_moments = RunningMoments(agent.observation_size)
         self.return_moments = RunningMoments(1)
         self.steps = 0
         self.episode_returns: list[float] = []  # true returns of finished episodes
+        self.successes: list[bool] = []  # which of them were won, where the task has such a thing
         self._running_returns = np.zeros(settings.copies)
         self._discounted = np.zeros(settings.copies)
         self._episodes = 0
         self._reset(np.arange(settings.copies))
-        self._observation = self._normalised(self.env.observe()[0], learn=True)
+        self._observation = self._observe(learn=True)
 
     def _reset(self, which: NDArray[np.int64]) -> None:
         episodes = range(self._episodes, self._episodes + len(which))
-        seeds = [derive_seed(self.seed, self.robot, "training", episode) for episode in episodes]
+        seeds = [derive_seed(self.seed, self.name, "training", episode) for episode in episodes]
         self._episodes += len(which)
         self.env.reset(which, np.array(seeds, np.int64))
 
+    def _observe(self, *, learn: bool) -> Tensor:
+        """What all agents see, (agents x copies, O)."""
+        return self._normalised(np.concatenate(self.env.observe()), learn=learn)
+
     def _normalised(self, observation: Float32, *, learn: bool) -> Tensor:
+        if not self._normalises:
+            return torch.from_numpy(observation)
         if learn:
             self.observation_moments.update(observation.astype(np.float64))
         moments = self.observation_moments
@@ -146,45 +127,58 @@ class Trainer:
         columns: list[tuple[Tensor, ...]] = []
         for _ in range(settings.horizon):
             observation = self._observation
-            mean = model.actor(observation)
-            action = mean + torch.exp(model.log_std) * torch.randn_like(mean)
-            log_probability = model.log_probability(observation, action)
+            action, log_probability = model.sample(observation)
             value = model.value(observation)
-            outcome = self.env.step([action.numpy()])
-            reward, ended = outcome.rewards[0], outcome.terminated | outcome.truncated
+            outcome = self.env.step(np.split(action.numpy(), self._agents))
+            reward, ended = np.stack(outcome.rewards), outcome.terminated | outcome.truncated
+            team = reward.mean(axis=0)
 
-            self._running_returns += reward
-            self._discounted = self._discounted * settings.gamma + reward
+            self._running_returns += team
+            self._discounted = self._discounted * settings.gamma + team
             self.return_moments.update(self._discounted[:, None])
             deviation = np.sqrt(self.return_moments.variance[0] + 1e-8)
             scaled = np.clip(reward / deviation, -10, 10).astype(np.float32)
             if outcome.truncated.any():  # a time limit is not the task's end: bootstrap
-                successor = self._normalised(self.env.observe()[0], learn=False)
-                bootstrap = settings.gamma * model.value(successor).numpy()
-                scaled += bootstrap * outcome.truncated
+                bootstrap = settings.gamma * model.value(self._observe(learn=False)).numpy()
+                scaled += bootstrap.reshape(scaled.shape) * outcome.truncated
             if ended.any():
-                which = np.flatnonzero(ended)
-                self.episode_returns += self._running_returns[which].tolist()
-                self._running_returns[which] = 0.0
-                self._discounted[which] = 0.0
-                self._reset(which)
+                self._finish(np.flatnonzero(ended))
             columns.append(
                 (
                     observation,
                     action,
                     log_probability,
                     value,
-                    torch.from_numpy(scaled),
-                    torch.from_numpy(ended.astype(np.float32)),
+                    torch.from_numpy(scaled.ravel()),
+                    torch.from_numpy(np.tile(ended.astype(np.float32), self._agents)),
                 )
             )
-            self._observation = self._normalised(self.env.observe()[0], learn=True)
+            self._observation = self._observe(learn=True)
         self.steps += settings.horizon * settings.copies
         observations, actions, log_probabilities, values, rewards, ends = (
             torch.stack(column) for column in zip(*columns, strict=True)
         )
         last_value = model.value(self._observation)
         return Batch(observations, actions, log_probabilities, values, rewards, ends, last_value)
+
+    def _finish(self, which: NDArray[np.int64]) -> None:
+        """Note the episodes that ended in the copies `which`, and start others."""
+        self.episode_returns += self._running_returns[which].tolist()
+        if isinstance(self.env, Contest):
+            self.successes += self.env.success[which].tolist()
+        self._running_returns[which] = 0.0
+        self._discounted[which] = 0.0
+        self._reset(which)
+
+    def level(self) -> float:
+        """Percent of the last episodes that were won; where there is no such thing, their return.
+
+        Over as many episodes as there are copies, but at least 500 of won or lost ones.
+        """
+        copies = self.settings.copies
+        if self.successes:
+            return 100.0 * float(np.mean(self.successes[-max(copies, 500) :]))
+        return float(np.mean(self.episode_returns[-copies:] or [0.0]))
 
     def _advantages(self, batch: Batch) -> Tensor:
         """Generalised advantage estimates, (horizon, copies)."""
@@ -210,7 +204,7 @@ class Trainer:
             for rows in torch.split(torch.randperm(len(returns)), settings.minibatch):
                 advantage = advantages[rows]
                 advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-                log_probability = model.log_probability(observations[rows], actions[rows])
+                log_probability, entropy = model.judge(observations[rows], actions[rows])
                 ratio = torch.exp(log_probability - old_log[rows])
                 clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip)
                 policy_loss = -torch.min(advantage * ratio, advantage * clipped).mean()
@@ -219,6 +213,7 @@ class Trainer:
                 target = returns[rows]
                 errors = torch.max((value - target) ** 2, (near - target) ** 2)
                 loss = policy_loss + settings.value_weight * 0.5 * errors.mean()
+                loss = loss - settings.entropy_weight * entropy
                 self.optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
                 nn.utils.clip_grad_norm_(model.parameters(), settings.gradient_norm)
@@ -226,13 +221,12 @@ class Trainer:
 
     def snapshot(self) -> Tensors:
         """The policy as it is now."""
-        linear = [layer for layer in self.model.actor if isinstance(layer, nn.Linear)]
-        tensors = {
-            "observation_mean": self.observation_moments.mean.astype(np.float32),
-            "observation_std": np.sqrt(self.observation_moments.variance + 1e-8).astype(np.float32),
-            "log_std": self.model.log_std.detach().numpy().copy(),
+        moments = self.observation_moments
+        mean, variance = moments.mean, moments.variance + 1e-8
+        if not self._normalises:
+            mean, variance = np.zeros_like(mean), np.ones_like(variance)
+        return {
+            "observation_mean": mean.astype(np.float32),
+            "observation_std": np.sqrt(variance).astype(np.float32),
+            **self.model.snapshot(),
         }
-        for name, layer in zip(LAYERS, linear, strict=True):
-            tensors[f"{name}.weight"] = layer.weight.detach().numpy().copy()
-            tensors[f"{name}.bias"] = layer.bias.detach().numpy().copy()
-        return tensors

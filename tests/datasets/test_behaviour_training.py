@@ -1,18 +1,24 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from otc_dist.datasets import behaviour_training
-from otc_dist.datasets.behaviour import BehaviourPolicy
+from otc_dist.datasets.behaviour import policy_of
 from otc_dist.datasets.ppo import RunningMoments, Settings, Trainer
+from otc_dist.envs import registry
 
 SMALL = Settings(copies=3, horizon=8, epochs=2, minibatch=12)
 
 
+def _trainer(seed=0, env_id="hopper-1x3"):
+    return Trainer(env_id, registry.make(env_id, SMALL.copies), seed, SMALL)
+
+
 def _trained(seed):
-    trainer = Trainer("hopper", seed, SMALL)
+    trainer = _trainer(seed)
     for _ in range(3):
         trainer.update(trainer.collect())
     return trainer
@@ -27,13 +33,38 @@ def test_training_is_a_function_of_the_seed():
 
 def test_numpy_policy_acts_as_the_trained_network():
     trainer = _trained(0)
-    policy = BehaviourPolicy(trainer.snapshot())
+    policy = policy_of(trainer.snapshot())
     observations = trainer.env.observe()[0]
     with torch.no_grad():
         means = trainer.model.actor(trainer._normalised(observations, learn=False)).numpy()
     noise = np.ones_like(means)
     expected = np.clip(means + np.exp(trainer.model.log_std.detach().numpy()) * noise, -1, 1)
     np.testing.assert_allclose(policy.act(observations, noise), expected, atol=1e-5)
+
+
+def test_discrete_actions_are_sampled_from_the_softmax_over_what_is_available():
+    trainer = _trainer(env_id="5m_vs_6m")
+    trainer.update(trainer.collect())
+    policy = policy_of(trainer.snapshot())
+    observation = trainer.env.observe()[0][:1]
+    rows = np.repeat(observation, 20_000, axis=0)
+    actions = policy.act(rows, policy.noise(np.random.default_rng(0), len(rows)))[:, 0]
+    with torch.no_grad():
+        logits = trainer.model.actor(torch.from_numpy(observation))[0].numpy()
+    expected = np.where(observation[0, -12:] > 0, np.exp(logits), 0)
+    shares = np.bincount(actions.astype(int), minlength=12) / len(rows)
+    np.testing.assert_allclose(shares, expected / expected.sum(), atol=0.015)
+    np.testing.assert_array_equal(shares[observation[0, -12:] == 0], 0)
+
+
+def test_agents_that_share_a_network_are_so_many_more_copies():
+    trainer = _trainer(env_id="5m_vs_6m")
+    batch = trainer.collect()
+    assert batch.observations.shape == (SMALL.horizon, 5 * SMALL.copies, 67)
+    # All get the team's reward, and their episodes end together.
+    rewards = batch.rewards.reshape(SMALL.horizon, 5, SMALL.copies)
+    assert (rewards == rewards[:, :1]).all()
+    assert trainer.steps == SMALL.horizon * SMALL.copies
 
 
 def test_running_moments_are_those_of_all_rows():
@@ -46,7 +77,7 @@ def test_running_moments_are_those_of_all_rows():
 
 
 def test_advantages_stop_at_an_episodes_end():
-    trainer = Trainer("hopper", 0, SMALL)
+    trainer = _trainer()
     batch = trainer.collect()
     advantages = trainer._advantages(batch)
     batch.ends[4] = 1.0
@@ -59,9 +90,13 @@ def test_advantages_stop_at_an_episodes_end():
 
 
 def test_the_command_writes_snapshots_and_their_card(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(behaviour_training, "MAX_STEPS", 3 * 24)
-    monkeypatch.setattr(behaviour_training, "EVALUATION_EPISODES", 2)
-    monkeypatch.setitem(behaviour_training.SETTINGS, "hopper", SMALL)
+    task = replace(
+        behaviour_training.TASKS["hopper"],
+        settings=SMALL,
+        maximum_steps=3 * 24,
+        evaluation_episodes=2,
+    )
+    monkeypatch.setitem(behaviour_training.TASKS, "hopper", task)
     assert behaviour_training.main(["hopper", "--seed", "3", "--out", str(tmp_path)]) == 0
     card = json.loads((tmp_path / "hopper" / "card.json").read_text())
     files = sorted(path.name for path in (tmp_path / "hopper").glob("*.safetensors"))
@@ -71,7 +106,7 @@ def test_the_command_writes_snapshots_and_their_card(tmp_path, monkeypatch, caps
     assert "hopper" in capsys.readouterr().out
 
 
-def test_help_names_the_robots(capsys):
+def test_help_names_the_tasks(capsys):
     with pytest.raises(SystemExit):
         behaviour_training.main(["--help"])
-    assert "halfcheetah" in capsys.readouterr().out
+    assert "5m_vs_6m,halfcheetah" in capsys.readouterr().out
