@@ -33,6 +33,8 @@ SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
         (["3agent_hopper", "--set", "dataset.name=hopper-3x1/medum"], "hopper-3x1/medium"),
         (["3agent_hopper", "--set", "env.id=walker2d-2x3"], "is not of the environment"),
         (["3agent_hopper", "--set", "engine.name=gpu"], "engine.name"),
+        (["predator_prey", "--set", "env.agents=1"], "is for 2 agents or more, not 1"),
+        (["navigation", "--set", "env.agents=3"], "env.agents is not for navigation"),
         (["missing.toml"], "cannot read the description missing.toml"),
         ([], "--list"),
         (["--resume", "nowhere"], "is no run folder"),
@@ -143,7 +145,8 @@ def test_two_launchers_do_not_share_a_run(run: RunFolder) -> None:
 def test_list_names_every_description(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--list"]) == 0
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert listed == ["2agent_halfcheetah", "2agent_walker2d", "3agent_hopper"]
+    assert listed == sorted(descriptions.shipped())
+    assert {"3agent_hopper", "predator_prey", "cooperative_navigation", "navigation"} <= {*listed}
 
 
 def test_dry_run_prints_the_plan_and_starts_nothing(
