@@ -53,6 +53,12 @@ def test_the_ends_of_the_noise_draw_rows_that_have_a_priority() -> None:
         assert (values[chosen.numpy()] > 0).all()
 
 
+def test_draws_at_the_borders_of_blocks_skip_those_that_are_empty() -> None:
+    values = np.repeat([0, 1, 0, 1, 0], BLOCK).astype(np.float32)
+    chosen = choose(*table(values), torch.zeros(64)).numpy()  # every fourth of 256
+    assert chosen.tolist() == [*range(BLOCK, 2 * BLOCK, 4), *range(3 * BLOCK, 4 * BLOCK, 4)]
+
+
 def test_draws_are_proportional_to_the_priorities() -> None:
     random = np.random.default_rng(1)
     values = on_grid(random.uniform(0.5, 3, 300))
