@@ -25,10 +25,11 @@ from typing import Any
 import msgpack
 import numpy as np
 
+from otc_dist.bus.codec import AgentCodec
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.lockstep import HostLockstep, LearnerLockstep
-from otc_dist.bus.messages import Action, AgentCodec, Moment, Observation, StepOutcome
+from otc_dist.bus.messages import Action, Moment, Observation, StepOutcome
 from otc_dist.bus.session import Session, local_endpoint, remove_local_endpoint
 from otc_dist.bus.wire import Rejections
 from otc_dist.deployment_log.header import LogHeader
@@ -65,8 +66,8 @@ def plain_questions(step: int) -> list[bytes]:
 
 def plain_answer(payload: bytes) -> bytes:
     """What an agent of the peers does: decode, act, encode; nothing is checked."""
-    version, run, agent, phase, deployment, epoch, step, seen, *_ = msgpack.unpackb(payload)
-    action = policy(np.frombuffer(seen, "<f4").reshape(1, 11))
+    version, run, agent, phase, deployment, epoch, step, body = msgpack.unpackb(payload)
+    action = policy(np.frombuffer(body, "<f4", 11).reshape(1, 11))
     head = [version, run, agent, phase, deployment, epoch, step]
     return msgpack.packb([*head, action.tobytes(), DIGEST])
 

@@ -9,8 +9,9 @@ costs time and nothing else.
 import time
 from collections.abc import Mapping, Sequence
 
+from otc_dist.bus.codec import AgentCodec
 from otc_dist.bus.keys import HOST, Keys
-from otc_dist.bus.messages import Action, AgentCodec, Moment, Observation
+from otc_dist.bus.messages import Action, Moment, Observation
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import BUSY, StatusBoard
 from otc_dist.bus.wire import RejectedError, Rejections
@@ -61,27 +62,30 @@ class HostLockstep:
             GaveUpError: an agent showed no sign of life for `deadline` seconds.
         """
         moment = questions[0].moment
-        payloads = [
-            codec.encode_observation(question)
-            for codec, question in zip(self._codecs, questions, strict=True)
-        ]
-        answers: list[Action] = []
+        payloads: list[bytes] = []
+        for codec, put, question in zip(self._codecs, self._puts, questions, strict=True):
+            payload = codec.encode_observation(question)
+            put(payload)
+            payloads.append(payload)
         asked = time.monotonic()
         repeat, next_repeat = _FIRST_REPEAT, asked + _FIRST_REPEAT
-        for put, payload in zip(self._puts, payloads, strict=True):
-            put(payload)
-        # One agent after the other: meanwhile the others' answers gather in their inboxes.
-        while (index := len(answers)) < len(payloads):
-            received = self._inboxes[index].get(next_repeat - time.monotonic())
-            answer = None if received is None else self._decode(index, received, moment, acting)
-            if answer is not None:
+        answers: list[Action] = []
+        # One agent after the other, who was asked last first: meanwhile the others' answers
+        # gather in their inboxes, and this process is not woken for each.
+        missing = len(payloads)
+        while missing:
+            received = self._inboxes[missing - 1].get(next_repeat)
+            answer = received and self._decode(missing - 1, received, moment, acting)
+            if answer:
                 answers.append(answer)
+                missing -= 1
             elif (now := time.monotonic()) >= next_repeat:
-                self._check_deadline(index, asked, moment)
-                for put, question in zip(self._puts[index:], payloads[index:], strict=True):
-                    put(question)
+                self._check_deadline(missing - 1, asked, moment)
+                for put, payload in zip(self._puts[:missing], payloads[:missing], strict=True):
+                    put(payload)
                 repeat = min(2 * repeat, _SLOWEST_REPEAT)
                 next_repeat = now + repeat
+        answers.reverse()
         return answers
 
     def _decode(self, index: int, payload: bytes, moment: Moment, acting: bool) -> Action | None:
@@ -138,13 +142,13 @@ class LearnerLockstep:
         same moment is given again when it is asked again.
         """
         newest: Observation | None = None
-        payload = self._inbox.get(timeout)
+        payload = self._inbox.get(time.monotonic() + timeout)
         while payload is not None:
             try:
                 newest = self._in_order(self._codec.decode_observation(payload))
             except RejectedError as rejected:
                 self._rejections.count(rejected)
-            payload = self._inbox.get(0)
+            payload = self._inbox.look()
         return newest
 
     def _in_order(self, question: Observation) -> Observation:

@@ -1,4 +1,7 @@
-"""What is published: the env host's questions, the learners' answers, and statuses of all."""
+"""What is published: the env host's questions, the learners' answers, and statuses of all.
+
+Questions and answers are made into bytes by `codec`.
+"""
 
 import math
 from collections.abc import Mapping
@@ -8,21 +11,16 @@ from typing import Literal, NamedTuple
 from otc_dist.bus.wire import (
     PROTOCOL_VERSION,
     RejectedError,
-    booleans,
-    floats,
     name,
     natural,
     number,
     pack,
-    raw,
     unpack,
 )
-from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Bool, Float32
 
 Phase = Literal["deployment", "evaluation", "done"]
-_PHASES: Mapping[str, int] = {"deployment": 0, "evaluation": 1, "done": 2}
-POLICY_DIGEST_LENGTH = 16
+PHASES: Mapping[Phase, int] = {"deployment": 0, "evaluation": 1, "done": 2}
 _MOST_METRICS = 256
 
 
@@ -41,7 +39,7 @@ class Moment(NamedTuple):
     @property
     def position(self) -> tuple[int, int, int]:
         """Sorts moments as a run meets them, within an epoch: deployment, evaluation, done."""
-        return self.deployment, _PHASES[self.phase], self.step
+        return self.deployment, PHASES[self.phase], self.step
 
     @property
     def policy(self) -> int:
@@ -49,8 +47,7 @@ class Moment(NamedTuple):
         return self.deployment - 1 if self.phase == "deployment" else self.deployment
 
 
-@dataclass(frozen=True)
-class StepOutcome:
+class StepOutcome(NamedTuple):
     """What the step before brought one agent, in E copies."""
 
     rewards: Float32  # (E,)
@@ -59,8 +56,7 @@ class StepOutcome:
     truncated: Bool  # (E,)
 
 
-@dataclass(frozen=True)
-class Observation:
+class Observation(NamedTuple):
     """The env host's question to one agent: what do you do now?
 
     The last question of a deployment (step == its number of steps) only carries the outcome of
@@ -72,98 +68,12 @@ class Observation:
     outcome: StepOutcome | None  # of step - 1; None at step 0, in evaluations and when done
 
 
-@dataclass(frozen=True)
-class Action:
+class Action(NamedTuple):
     """An agent's answer."""
 
     moment: Moment
     actions: Float32 | None  # (E, action_size); None: nothing to do
     policy: str  # digest of the policy that acted, 16 hexadecimal digits
-
-
-class AgentCodec:
-    """Encodes and decodes the lock-step messages of one agent in one run.
-
-    Args:
-        run: the run's name.
-        agent: the agent's sizes.
-        copies: E, by phase.
-
-    The decoders raise RejectedError for anything that does not match, exactly.
-    """
-
-    def __init__(self, run: str, agent: AgentSpec, copies: Mapping[str, int]) -> None:
-        self.agent = agent
-        self._run = run
-        self._copies = copies
-
-    def _head(self, moment: Moment) -> list[object]:
-        return [PROTOCOL_VERSION, self._run, self.agent.name, *moment]
-
-    def _unpack(self, payload: bytes, count: int) -> tuple[Moment, list[object]]:
-        fields = unpack(payload, self._run, 7 + count)
-        if fields[2] != self.agent.name:
-            raise RejectedError("agent")
-        phase = name(fields[3])
-        if phase not in _PHASES:
-            raise RejectedError("phase")
-        moment = Moment(phase, natural(fields[4]), natural(fields[5]), natural(fields[6]))  # type: ignore[arg-type]
-        return moment, fields[7:]
-
-    def encode_observation(self, message: Observation) -> bytes:
-        outcome = message.outcome
-        seen = b"" if message.observations is None else raw(message.observations)
-        if outcome is None:
-            return pack([*self._head(message.moment), seen, b"", b"", b"", b""])
-        return pack(
-            [
-                *self._head(message.moment),
-                seen,
-                raw(outcome.rewards),
-                raw(outcome.next_observations),
-                raw(outcome.terminated),
-                raw(outcome.truncated),
-            ]
-        )
-
-    def decode_observation(self, payload: bytes) -> Observation:
-        moment, (seen, *outcome) = self._unpack(payload, 5)
-        copies, size = self._copies[moment.phase], self.agent.observation_size
-        if moment.phase == "done":
-            if any(part != b"" for part in (seen, *outcome)):
-                raise RejectedError("shape")
-            return Observation(moment, None, None)
-        observations = floats(seen, copies, size)
-        if moment.phase == "evaluation" or moment.step == 0:
-            if any(part != b"" for part in outcome):
-                raise RejectedError("shape")
-            return Observation(moment, observations, None)
-        rewards, next_observations, terminated, truncated = outcome
-        return Observation(
-            moment,
-            observations,
-            StepOutcome(
-                floats(rewards, copies),
-                floats(next_observations, copies, size),
-                booleans(terminated, copies),
-                booleans(truncated, copies),
-            ),
-        )
-
-    def encode_action(self, message: Action) -> bytes:
-        actions = b"" if message.actions is None else raw(message.actions)
-        return pack([*self._head(message.moment), actions, message.policy])
-
-    def decode_action(self, payload: bytes, asked: Moment, *, acting: bool) -> Action:
-        """`asked`: the moment that must be answered; `acting`: with an action, or with none."""
-        moment, (actions, policy) = self._unpack(payload, 2)
-        if moment != asked:
-            raise RejectedError("epoch" if moment.epoch != asked.epoch else "stale")
-        if len(name(policy)) != POLICY_DIGEST_LENGTH:
-            raise RejectedError("policy")
-        copies = self._copies[moment.phase] if acting else 0
-        array = floats(actions, copies, self.agent.action_size)
-        return Action(moment, array if acting else None, str(policy))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from otc_dist.bus.wire import (
+    BOOLEAN,
     PROTOCOL_VERSION,
     RejectedError,
     booleans,
@@ -68,16 +69,10 @@ def history_rows(agent: AgentSpec, maximum_payload: int) -> int:
 
 def encode_history(run: str, agent: str, deployment: int, start: int, page: Transitions) -> bytes:
     """A page of an agent's own transitions of deployment k, from step `start` on."""
-    arrays = [
-        page.observations,
-        page.actions,
-        page.rewards,
-        page.next_observations,
-        page.terminated,
-        page.truncated,
-    ]
+    numbers = [page.observations, page.actions, page.rewards, page.next_observations]
+    ends = [page.terminated, page.truncated]
     head = [PROTOCOL_VERSION, run, agent, deployment, start, len(page)]
-    return pack([*head, *(raw(array) for array in arrays)])
+    return pack([*head, *map(raw, numbers), *(raw(array, BOOLEAN) for array in ends)])
 
 
 def decode_history(

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, Self
 
 from otc_dist.bus.links import configuration, zenoh
 from otc_dist.errors import UserError
@@ -75,22 +75,23 @@ class Inbox:
         self._receive, self._look, self._wake = subscriber.recv, subscriber.try_recv, wake
         self._waiting = False
 
-    def get(self, timeout: float) -> bytes | None:
-        """The oldest message; None if none comes within about `timeout` seconds."""
-        if timeout <= 0:
-            while (sample := self._look()) is not None:
-                if payload := sample.payload.to_bytes():
-                    return cast(bytes, payload)
-            return None
-        end = time.monotonic() + timeout
+    def get(self, until: float) -> bytes | None:
+        """The oldest message; None if none comes until about `until` (time.monotonic)."""
         self._waiting = True
-        try:
-            while not (payload := self._receive().payload.to_bytes()):
-                if time.monotonic() >= end:
-                    return None
-            return cast(bytes, payload)
-        finally:
-            self._waiting = False
+        payload: bytes
+        while not (payload := self._receive().payload.to_bytes()):
+            if time.monotonic() >= until:
+                break
+        self._waiting = False
+        return payload or None
+
+    def look(self) -> bytes | None:
+        """The oldest message that is there; None if there is none."""
+        while (sample := self._look()) is not None:
+            payload: bytes = sample.payload.to_bytes()
+            if payload:
+                return payload
+        return None
 
     def wake(self) -> None:
         """Let a `get` that waits look at the time."""

@@ -18,9 +18,9 @@ from otc_dist.transitions import Bool, Float32
 
 log = logging.getLogger(__name__)
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 _LONGEST_NAME = 256  # characters
-_FLOAT = np.dtype("<f4")
+FLOAT, BOOLEAN = np.dtype("<f4"), np.dtype("?")
 _FEW = 64
 
 
@@ -118,11 +118,25 @@ def number(value: object) -> float:
     return result
 
 
-def raw(array: NDArray[Any]) -> bytes:
-    """The bytes of a float32 or boolean array, little-endian, in C order."""
-    if array.dtype != _FLOAT and array.dtype != np.bool_:
-        raise TypeError(f"the bus carries float32 and bool, not {array.dtype}")
+def raw(array: NDArray[Any], kind: np.dtype[Any] = FLOAT) -> bytes:
+    """The bytes of an array of this type, little-endian, in C order."""
+    if array.dtype != kind:
+        raise TypeError(f"the array should hold {kind}, not {array.dtype}")
     return array.tobytes()
+
+
+def check_finite(array: Float32) -> None:
+    """Raises RejectedError unless all of the numbers (n,) are finite."""
+    # A sum of float32 in float64 never overflows. For few numbers this is the fastest way.
+    few = len(array) <= _FEW
+    if not (math.isfinite(sum(array.tolist())) if few else np.isfinite(array).all()):
+        raise RejectedError("not-finite")
+
+
+def check_booleans(value: bytes) -> None:
+    """Raises RejectedError unless all bytes are 0 or 1."""
+    if value.strip(b"\x00\x01"):  # what is left holds a byte that is neither
+        raise RejectedError("type")
 
 
 def floats(value: object, *shape: int) -> Float32:
@@ -131,11 +145,8 @@ def floats(value: object, *shape: int) -> Float32:
         raise RejectedError("type")
     if len(value) != 4 * math.prod(shape):
         raise RejectedError("shape")
-    flat = np.frombuffer(bytearray(value), _FLOAT)  # a copy, to be writable
-    # A sum of float32 in float64 never overflows. For few numbers this is the fastest way.
-    few = len(flat) <= _FEW
-    if not (math.isfinite(sum(flat.tolist())) if few else np.isfinite(flat).all()):
-        raise RejectedError("not-finite")
+    flat = np.frombuffer(bytearray(value), FLOAT)  # a copy, to be writable
+    check_finite(flat)
     return flat.reshape(shape)
 
 
@@ -145,6 +156,5 @@ def booleans(value: object, size: int) -> Bool:
         raise RejectedError("type")
     if len(value) != size:
         raise RejectedError("shape")
-    if value.strip(b"\x00\x01"):  # what is left holds a byte that is neither
-        raise RejectedError("type")
-    return np.frombuffer(bytearray(value), np.bool_)
+    check_booleans(value)
+    return np.frombuffer(bytearray(value), BOOLEAN)

@@ -11,7 +11,7 @@ field's 5 bytes (0xce and the checksum, big-endian), so a torn or flipped record
 import json
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import msgpack
@@ -38,7 +38,6 @@ _FALSE = 0xC2  # msgpack's false; true is one more
 
 _PER_AGENT = ("observations", "actions", "rewards", "next_observations")
 
-_Slot = tuple[int, np.dtype[Any], tuple[int, ...]]  # place among the parts, type, shape
 Rows = NDArray[np.void]  # structured; one row a step, fields as in `RecordLayout.dtype`
 
 
@@ -242,26 +241,24 @@ class StepEncoder:
     """Encodes steps: the template's constant bytes, joined with the bytes of a step's arrays."""
 
     def __init__(self, layout: RecordLayout) -> None:
-        self._prefix = layout.prefix
+        self._prefix, self._agents = layout.prefix, len(layout.team.agents)
         fields = layout.dtype.fields
         assert fields is not None  # it is a structured type
-        names = [name for name in fields if name not in ("log_time", "publish_time")]
+        names = [name for name in fields if name not in ("log_time", "publish_time", "crc32")]
         # Constant bytes in the even places, fields in the odd ones; the checksum is added last.
         self._parts: list[bytes] = []
-        slots: dict[str, _Slot] = {}
+        self._shapes: list[tuple[int, ...]] = []  # of the arrays, in their order
+        self._types: list[np.dtype[Any]] = []
         end = PAYLOAD_START
-        for name in names[:-1]:
+        for name in names:
             kind, start = fields[name][0], int(fields[name][1])
             self._parts += [bytes(layout.template[end:start]), b""]
-            slots[name] = (len(self._parts) - 1, kind.base, kind.shape)
             end = start + kind.itemsize
+            if name not in ("step", "exploring"):
+                self._shapes.append(kind.shape)
+                self._types.append(kind.base)
         self._parts.append(bytes(layout.template[end : -1 - _CHECKSUM.size]))
-        agents = range(len(layout.team.agents))
-        self._by_agent = [[slots[f"{name}.{i}"] for i in agents] for name in _PER_AGENT]
-        self._by_copy = [
-            slots[name] for name in ("terminated", "truncated", "episode_seeds", "state")
-        ]
-        self._step, self._exploring = slots["step"][0], slots["exploring"][0]
+        self._exploring = 1 + 2 * names.index("exploring")
 
     def encode(self, step: JointStep, log_time: int) -> bytes:
         """The whole MCAP record.
@@ -270,25 +267,28 @@ class StepEncoder:
             ValueError: an array has another shape than the team's.
             TypeError: an array has another type than the team's.
         """
-        parts, number = self._parts, step.step
-        parts[self._step] = _CHECKSUM.pack(number)
-        given = (step.observations, step.actions, step.rewards, step.next_observations)
-        for slots, arrays in zip(self._by_agent, given, strict=True):
-            self._fill(slots, arrays)
-        by_copy = (step.terminated, step.truncated, step.episode_seeds, step.state)
-        self._fill(self._by_copy, by_copy)
-        tags = bytes([_FALSE + tag for tag in step.exploring])
-        if len(tags) != len(self._by_agent[0]):
-            raise ValueError(f"a step has {len(tags)} behaviour tags")
-        parts[self._exploring] = tags
+        arrays = [
+            *step.observations,
+            *step.actions,
+            *step.rewards,
+            *step.next_observations,
+            step.terminated,
+            step.truncated,
+            step.episode_seeds,
+            step.state,
+        ]
+        if (shapes := [array.shape for array in arrays]) != self._shapes:
+            raise ValueError(f"a step's arrays have shapes {shapes}, not {self._shapes}")
+        if (types := [array.dtype for array in arrays]) != self._types:
+            raise TypeError(f"a step's arrays are of {types}, not {self._types}")
+        if len(step.exploring) != self._agents:
+            raise ValueError(f"a step has {len(step.exploring)} behaviour tags")
+        parts, exploring = self._parts, self._exploring
+        data = [array.tobytes() for array in arrays]
+        parts[1] = _CHECKSUM.pack(step.step)
+        parts[3:exploring:2] = data[:-2]
+        parts[exploring] = bytes([_FALSE + tag for tag in step.exploring])
+        parts[exploring + 2 :: 2] = data[-2:]
         body = b"".join(parts)
-        times = _TIMES.pack(number, log_time, log_time)
+        times = _TIMES.pack(step.step, log_time, log_time)
         return b"".join((self._prefix, times, body, _UINT32, _CHECKSUM.pack(zlib.crc32(body))))
-
-    def _fill(self, slots: Sequence[_Slot], arrays: Sequence[NDArray[Any]]) -> None:
-        for (place, kind, shape), array in zip(slots, arrays, strict=True):
-            if array.shape != shape:
-                raise ValueError(f"an array of a step has shape {array.shape}, not {shape}")
-            if array.dtype != kind:
-                raise TypeError(f"an array of a step is of {array.dtype}, not {kind}")
-            self._parts[place] = array.tobytes()

@@ -7,9 +7,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from otc_dist.bus.codec import AgentCodec
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.lockstep import GaveUpError, HostLockstep, LearnerLockstep
-from otc_dist.bus.messages import Action, AgentCodec, Moment, Observation, Status
+from otc_dist.bus.messages import Action, Moment, Observation, Status
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
