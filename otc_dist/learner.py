@@ -293,7 +293,7 @@ class Learner:
     def _append(self, data: Transitions, *, offline: bool) -> None:
         """Merge transitions, with actions scaled to [-1, 1], and embed them if d_e is ready."""
         start = self._buffer.size
-        self._buffer.append(data, offline=offline)
+        self._buffer.append(data if offline else data.sound(), offline=offline)
         end = self._buffer.size
         actions = self._buffer.rows[start:end, self._layout.action]
         actions[:] = self._scale.scaled(actions)

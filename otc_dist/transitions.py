@@ -64,6 +64,24 @@ class Transitions:
     def __getitem__(self, rows: slice | NDArray[np.int64]) -> Self:
         return type(self)(*(getattr(self, field.name)[rows] for field in fields(self)))
 
+    def sound(self) -> Self:
+        """The rows without those of steps that did not happen: both terminated and truncated.
+
+        That is how an environment tells that its simulator broke off. In the place of such a row
+        stands the one before it, or the first sound one, so that there are as many as before.
+
+        Raises:
+            ValueError: no step happened.
+        """
+        broken = self.terminated & self.truncated
+        if not broken.any():
+            return self
+        (sound,) = (~broken).nonzero()
+        if not len(sound):
+            raise ValueError("the simulator broke off in every step")
+        before = np.searchsorted(sound, np.arange(len(self)), side="right") - 1
+        return self[sound[np.maximum(before, 0)]]
+
     @classmethod
     def concatenate(cls, parts: Sequence["Transitions"]) -> Self:
         """Join at least one part, in order."""

@@ -21,7 +21,7 @@ from otc_dist.bus.session import Session, remove_local_endpoint
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
 from otc_dist.deployment_log.format import partial_path
-from otc_dist.deployment_log.header import LogHeader
+from otc_dist.deployment_log.header import LogHeader, versions
 from otc_dist.deployment_log.reader import read_transitions
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
@@ -167,6 +167,7 @@ class EnvHost:
             description_digest=description.digest(),
             team=self._run.team,
             copies=description.env.copies,
+            versions=versions() | dict(rollout.simulator),
         )
         return LogWriter.create(path, header), None
 

@@ -214,6 +214,17 @@ def test_data_that_are_not_finite_are_refused(name: str, value: float) -> None:
     learner.tune(1, online(1), silent)  # nothing of it was merged: there is room
 
 
+def test_nobody_learns_from_a_step_that_did_not_happen() -> None:
+    data, (first, second) = online(1), (pretrained(), pretrained())
+    broken = np.isin(np.arange(len(data)), (0, 7, 8))
+    both = {"terminated": data.terminated | broken, "truncated": data.truncated | broken}
+    first.tune(1, replace(data, rewards=np.where(broken, 1e6, data.rewards), **both), silent)
+    stands_in = np.arange(len(data))
+    stands_in[[0, 7, 8]] = 1, 6, 6
+    second.tune(1, data[stands_in], silent)
+    assert first.policy_digest() == second.policy_digest()
+
+
 def test_deployments_are_tuned_on_in_order() -> None:
     learner = pretrained(*ARMS["uniform"])
     with pytest.raises(ValueError, match="cannot tune on deployment 2 after 0"):

@@ -84,3 +84,14 @@ def test_the_buffer_refuses_what_does_not_fit_or_is_not_finite() -> None:
         assert (buffer.size, buffer.newest_start) == (10, 0)
     buffer.append(good, offline=False)
     assert buffer.size == 12
+
+
+def test_rows_of_steps_that_did_not_happen_are_replaced() -> None:
+    data = transitions(0, 6)
+    assert data.sound() is data
+    broken = np.array([True, False, True, True, False, False])
+    found = replace(data, terminated=data.terminated | broken, truncated=broken).sound()
+    np.testing.assert_array_equal(found.rewards, data.rewards[[1, 1, 1, 1, 4, 5]])
+    assert not (found.terminated & found.truncated).any()
+    with pytest.raises(ValueError, match="in every step"):
+        replace(data, terminated=broken | True, truncated=broken | True).sound()

@@ -33,7 +33,13 @@ class RunSpec:
 def encode_spec(run: str, spec: RunSpec) -> bytes:
     """The answer to a query for the spec."""
     agents = [
-        [agent.name, agent.observation_size, list(agent.action_low), list(agent.action_high)]
+        [
+            agent.name,
+            agent.observation_size,
+            list(agent.action_low),
+            list(agent.action_high),
+            agent.choices,
+        ]
         for agent in spec.agents
     ]
     return pack([PROTOCOL_VERSION, run, spec.env_id, agents, spec.description])
@@ -48,9 +54,9 @@ def decode_spec(payload: bytes, run: str) -> RunSpec:
 
 
 def _agent(fields: object) -> AgentSpec:
-    if type(fields) is not list or len(fields) != 4:
+    if type(fields) is not list or len(fields) != 5:
         raise RejectedError("length")
-    agent, observation_size, low, high = fields
+    agent, observation_size, low, high, choices = fields
     if type(low) is not list or type(high) is not list or len(low) != len(high):
         raise RejectedError("type")
     return AgentSpec(
@@ -58,6 +64,7 @@ def _agent(fields: object) -> AgentSpec:
         natural(observation_size),
         tuple(number(bound) for bound in low),
         tuple(number(bound) for bound in high),
+        natural(choices),
     )
 
 

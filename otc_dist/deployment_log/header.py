@@ -102,6 +102,7 @@ def _team(data: dict[str, object]) -> TeamSpec:
                 observation_size=agent["observation_size"],
                 action_low=tuple(agent["action_low"]),
                 action_high=tuple(agent["action_high"]),
+                choices=agent.get("choices", 0),
             )
             for agent in agents
         ),

@@ -1,6 +1,6 @@
 """The interface of every environment: E copies of one multi-agent task that step together."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Protocol, runtime_checkable
@@ -19,8 +19,8 @@ class Outcome:
     rewards: tuple[Float32, ...]  # N x (E,)
     terminated: Bool  # (E,)  the task ended
     truncated: Bool  # (E,)  the time limit was reached and the task had not ended
-    # Both at once: the simulator broke off. This step did not happen and its episode does not
-    # count; the copy can be reset and goes on.
+    # Both at once: the simulator broke off. This step did not happen, its episode does not count
+    # and nobody learns from it (`Transitions.sound`); reset, the copy goes on.
 
 
 class BatchedEnv(Protocol):
@@ -88,6 +88,16 @@ class Contest(Protocol):
     @property
     def success(self) -> Bool:
         """In which copies the last step won the episode, (E,)."""
+        ...
+
+
+@runtime_checkable
+class Versioned(Protocol):
+    """What a `BatchedEnv` has besides where it is more than Python packages."""
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Version of the simulator and of what drives it, for the log; after the first reset."""
         ...
 
 

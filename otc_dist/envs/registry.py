@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from otc_dist.envs import particle_family, robot_specs, robot_task, skirmish
+from otc_dist.envs import particle_family, robot_specs, robot_task, skirmish, smac_adapter
 from otc_dist.envs.base import BatchedEnv
 from otc_dist.errors import unknown
 from otc_dist.spec import Task, TeamSpec
@@ -26,6 +26,11 @@ def _make_robot(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
 
     del progress  # robots stay as they are
     return RobotEnv(env_id, copies)
+
+
+def _make_smac(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
+    del progress
+    return smac_adapter.SmacEnv(env_id, copies)
 
 
 def _make_skirmish(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
@@ -55,6 +60,7 @@ _FAMILIES = (
         skirmish.team_spec,
         _make_skirmish,
     ),
+    _Family((), smac_adapter.knows, smac_adapter.team_spec, _make_smac),
 )
 
 

@@ -1,13 +1,13 @@
 """Playing a batched environment in lock-step, with every episode's seed known beforehand."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.envs.base import BatchedEnv, Contest
+from otc_dist.envs.base import BatchedEnv, Contest, Versioned
 from otc_dist.randomness import derive_seed
 from otc_dist.transitions import Bool, Float32, JointStep
 
@@ -141,6 +141,11 @@ class Rollout:
         if not isinstance(self._env, Contest):
             return None
         return tuple(bool(episode.success) for episode in self.episodes)
+
+    @property
+    def simulator(self) -> Mapping[str, str]:
+        """Versions of a simulator that is more than Python packages; empty of others."""
+        return self._env.versions if isinstance(self._env, Versioned) else {}
 
     @property
     def finished(self) -> bool:

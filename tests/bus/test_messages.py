@@ -257,7 +257,7 @@ def test_a_bad_status_is_rejected(field: int, value: object, reason: str) -> Non
 
 
 def test_the_spec_survives_the_wire() -> None:
-    spec = RunSpec("hopper-3x1", (AGENT, AgentSpec("agent_1", 2, (0.0,), (1.0,))), DIGEST)
+    spec = RunSpec("hopper-3x1", (AGENT, AgentSpec("agent_1", 4, (0.0,), (2.0,), 3)), DIGEST)
     assert decode_spec(encode_spec("run", spec), "run") == spec
 
 

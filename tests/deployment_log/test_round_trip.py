@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from otc_dist.deployment_log.episodes import Episode
+from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.reader import (
     read_header,
     read_steps,
@@ -182,3 +183,9 @@ def test_a_step_of_another_team_is_refused(tmp_path: Path, small, same, change: 
     writer.close()
     read = list(read_steps(writer.path))
     assert len(read) == 2 and all(same(a, b) for a, b in zip(read, small.steps, strict=False))
+
+
+def test_the_header_keeps_all_of_the_team(small) -> None:
+    agent = replace(small.team.agents[0], action_low=(0.0,), action_high=(4.0,), choices=5)
+    header = replace(small.header, team=replace(small.team, agents=(agent,)))
+    assert LogHeader.from_entries(header.to_entries(), Path("log")) == header
