@@ -13,6 +13,7 @@ from otc_dist.algorithms.draws import to_tensors
 from otc_dist.engine import Engine, resolve
 from otc_dist.errors import UserError
 from otc_dist.learner import Learner
+from otc_dist.trainer import Phase
 
 from .brains import ARMS, brain, online, silent, unsaved
 
@@ -89,9 +90,13 @@ def test_compiled_code_is_kept_in_the_cache(monkeypatch: pytest.MonkeyPatch) -> 
 
 def updates(learner: Learner, count: int) -> list[np.ndarray]:
     """The state, as one vector, after each of `count` tuning updates by the learner's own path."""
-    update = learner._update_by(learner._sampler)
-    draws = to_tensors(learner._draw_by(learner._sampler, 1, "tuning")(0, count), CPU)
-    states, state = [], learner._state
+    trainer, extent = learner._online, learner._extent()
+    update = trainer._update(learner._data)
+    noise = learner._algorithm.noise(learner.description.algorithm.batch_size)
+    draw_block = trainer._draws(noise, extent, Phase("tuning", 1, 0, 1.0), "")
+    draws = to_tensors(draw_block(0, count), CPU)
+    begun = learner._sampler.begin(learner._state, extent, np.random.default_rng(0))
+    states, state = [], {**learner._state, **begun}
     for index in range(count):
         state, _ = update(state, {name: array[index] for name, array in draws.items()})
         parts = [state[name].numpy() for name in ("vae", "critic", "critic_target", "actor")]
@@ -100,7 +105,7 @@ def updates(learner: Learner, count: int) -> list[np.ndarray]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arm", ["otc-embedding", "otc-value"])
+@pytest.mark.parametrize("arm", ["otc-embedding", "otc-value", "balanced"])
 def test_compiled_equals_eager(arm: str) -> None:
     """20 updates in float32: longer, and rounding grows."""
     runs = []
