@@ -2,9 +2,10 @@
 
 from otc_dist.datasets.random_source import RandomSource
 from otc_dist.datasets.robot_source import RobotSource
+from otc_dist.datasets.skirmish_source import SkirmishSource
 from otc_dist.datasets.source import Source
 
-_SOURCES: tuple[Source, ...] = (RobotSource(), RandomSource())
+_SOURCES: tuple[Source, ...] = (RobotSource(), RandomSource(), SkirmishSource())
 
 
 def source_of(env_id: str) -> Source | None:

@@ -3,7 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from otc_dist.envs import particle_family, robot_specs, robot_task, skirmish, smac_adapter
+from otc_dist.envs import (
+    particle_family,
+    robot_specs,
+    robot_task,
+    skirmish,
+    smac_adapter,
+    smax_adapter,
+)
 from otc_dist.envs.base import BatchedEnv
 from otc_dist.errors import unknown
 from otc_dist.spec import Task, TeamSpec
@@ -31,6 +38,11 @@ def _make_robot(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
 def _make_smac(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
     del progress
     return smac_adapter.SmacEnv(env_id, copies)
+
+
+def _make_smax(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
+    del progress
+    return smax_adapter.SmaxEnv(env_id, copies)
 
 
 def _make_skirmish(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
@@ -61,6 +73,7 @@ _FAMILIES = (
         _make_skirmish,
     ),
     _Family((), smac_adapter.knows, smac_adapter.team_spec, _make_smac),
+    _Family((), smax_adapter.knows, smax_adapter.team_spec, _make_smax),
 )
 
 
