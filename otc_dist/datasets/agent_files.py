@@ -189,7 +189,9 @@ def _damaged(path: Path, problem: str) -> UserError:
 def _remedy(path: Path) -> str:
     """What to do; `path` ends in ENV/LEVEL/TRANSITIONS/AGENT.safetensors where `store` wrote it."""
     folder = path.absolute().parent
-    *_, env_id, level, transitions = ("", "", *folder.parts)
+    *_, family, env_id, level, transitions = ("", "", "", *folder.parts)
+    if registry.known(f"{family}/{env_id}"):  # an adapter's
+        env_id = f"{family}/{env_id}"
     if registry.known(env_id) and transitions.isdecimal():
         name = f"{env_id}/{level} --transitions {transitions}"
         return (

@@ -25,7 +25,7 @@ class DatasetName:
     @classmethod
     def parse(cls, name: str) -> "DatasetName":
         """Raises UserError, with the nearest known name, if there is no such data set."""
-        env_id, _, level = name.partition("/")
+        env_id, _, level = name.rpartition("/")
         if registry.known(env_id) and plain(level):
             parsed = cls(env_id, level)
             if parsed.source or parsed.sizes():
@@ -84,11 +84,12 @@ def known_names() -> tuple[DatasetName, ...]:
         if (source := source_of(env_id))
         for level in source.levels(env_id)
     ]
+    root = cache_root() / "datasets"
     cached = [
         name
-        for folder in sorted((cache_root() / "datasets").glob("*/*"))
-        if registry.known(folder.parent.name)
-        and (name := DatasetName(folder.parent.name, folder.name)) not in made
+        for folder in sorted([*root.glob("*/*"), *root.glob("*/*/*")])  # an id may have a slash
+        if registry.known(env_id := folder.parent.relative_to(root).as_posix())
+        and (name := DatasetName(env_id, folder.name)) not in made
         and name.sizes()
     ]
     return tuple(made + cached)

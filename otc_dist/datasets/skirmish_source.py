@@ -1,7 +1,11 @@
-"""The skirmish's offline data: 10,000 battles fought by its medium policy, as in the paper.
+"""Offline data of skirmishes.
 
-All agents act by one network, each on its own observation, and sample from its softmax, which is
-nearly deterministic: the paper's behaviour policies are "very deterministic".
+- `medium`: battles that the native skirmish's medium policy fought, 10,000 of them as in the
+  paper. All agents act by one network, each on its own observation, and sample from its softmax,
+  which is nearly deterministic: the paper's behaviour policies are "very deterministic".
+- `random`: uniform among what is available; SMAX's only level, of which no policies are shipped.
+
+There are none of StarCraft II itself: its battles cannot be made again from a seed.
 """
 
 from collections.abc import Sequence
@@ -10,39 +14,66 @@ import numpy as np
 
 from otc_dist.datasets.behaviour import BehaviourPolicy, load_card, load_policy
 from otc_dist.datasets.source import Behaviour
+from otc_dist.envs import registry, smax_adapter
 from otc_dist.envs.skirmish import SKIRMISHES
-from otc_dist.transitions import Float32
+from otc_dist.transitions import Bool, Float32
 
-LEVELS = ("medium",)
-TRANSITIONS = 234_224  # of the first 10,000 episodes
+TRANSITIONS = 234_224  # of the medium policy's first 10,000 episodes
 
 
 class SkirmishSource:
-    """The `Source` of the skirmish."""
+    """The `Source` of the skirmish, and of SMAX."""
 
     packages: tuple[str, ...] = ()
 
     def offers(self, env_id: str) -> bool:
-        return env_id in SKIRMISHES
+        return env_id in SKIRMISHES or smax_adapter.knows(env_id)
 
     def levels(self, env_id: str) -> tuple[str, ...]:
-        return LEVELS
+        return ("random", "medium") if env_id in SKIRMISHES else ("random",)
 
     def usual_size(self, env_id: str, level: str) -> int:
-        """As many as the first 10,000 episodes have."""
         return TRANSITIONS
 
     def policies(self, env_id: str, level: str) -> tuple[str, ...]:
-        return ("medium",)
+        return (level,)
 
     def behaviour(self, env_id: str, policy: str) -> Behaviour:
-        return _Alike(load_policy(env_id, load_card(env_id).medium), SKIRMISHES[env_id].agents)
+        agents = registry.team_spec(env_id).agents
+        if policy == "random":
+            return _Uniform(agents[0].choices, len(agents))
+        return _Alike(load_policy(env_id, load_card(env_id).medium), len(agents))
 
     def seed_name(self, env_id: str) -> str:
         return env_id
 
     def recipe(self, env_id: str, level: str) -> dict[str, str]:
+        if level == "random":
+            return {} if env_id in SKIRMISHES else smax_adapter.versions()
         return {"policy medium": load_card(env_id).medium.sha256}
+
+
+class _Uniform:
+    """Agents that take each available action as often as any other."""
+
+    def __init__(self, choices: int, agents: int) -> None:
+        self._choices, self._agents = choices, agents
+
+    def noise(self, random: np.random.Generator, steps: int) -> Float32:
+        return random.random((steps, self._agents), np.float32)
+
+    def act(self, observations: Sequence[Float32], noise: Float32) -> Sequence[Float32]:
+        return [
+            self._chosen(seen[:, -self._choices :] > 0, draw)
+            for seen, draw in zip(observations, noise.T, strict=True)
+        ]
+
+    def _chosen(self, available: Bool, draw: Float32) -> Float32:
+        """The floor(n u)-th of n available actions, (E, 1), for masks (E, choices) and u (E,)."""
+        order = np.cumsum(available, axis=1)
+        number = np.minimum((order[:, -1] * draw).astype(np.int64), order[:, -1] - 1)
+        action: Float32 = (order > number[:, None]).argmax(axis=1).astype(np.float32)
+        return action[:, None]
 
 
 class _Alike:

@@ -11,6 +11,7 @@ An episode's randomness is keyed by its seed and the step, so a state can be gon
 import importlib
 from collections.abc import Sequence
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,20 @@ def knows(env_id: str) -> bool:
     return env_id.startswith(PREFIX)
 
 
+def versions() -> dict[str, str]:
+    """Of what decides how battles go. Raises UserError if SMAX is not installed."""
+    try:
+        return {package: version(package) for package in ("jaxmarl", "jax")}
+    except PackageNotFoundError as error:
+        raise _missing("SMAX", error.name) from None
+
+
+def _missing(what: str, package: str | None) -> UserError:
+    return UserError(
+        f"{what} needs JaxMARL, and {package} is missing: pip install 'otc-dist[smax]'"
+    )
+
+
 @cache
 def _game(env_id: str) -> Any:
     """The map's functions. Raises UserError if SMAX is not installed or has no such map."""
@@ -37,9 +52,7 @@ def _game(env_id: str) -> Any:
         smax = importlib.import_module("jaxmarl.environments.smax")
         maps = importlib.import_module("jaxmarl.environments.smax.smax_env")
     except ModuleNotFoundError as error:
-        raise UserError(
-            f"{env_id} needs JaxMARL, and {error.name} is missing: pip install 'otc-dist[smax]'"
-        ) from None
+        raise _missing(env_id, error.name) from None
     name = env_id.removeprefix(PREFIX)
     if name not in maps.MAP_NAME_TO_SCENARIO:
         raise unknown("SMAX map", name, maps.MAP_NAME_TO_SCENARIO)

@@ -12,6 +12,7 @@ from otc_dist.datasets.behaviour_training import TASKS, evaluate
 from otc_dist.datasets.generate import generate
 from otc_dist.datasets.names import DatasetName
 from otc_dist.envs import registry
+from otc_dist.errors import UserError
 from otc_dist.randomness import derive_seed
 from otc_dist.transitions import choice_problem
 
@@ -70,6 +71,25 @@ def test_the_policy_is_nearly_deterministic(data):
         chosen = policy.act(seen[alive], np.zeros((int(alive.sum()), 12), np.float32))
         greedy.append((chosen == actions[alive]).mean())
     assert np.mean(greedy) > 0.9
+
+
+def test_random_actions_are_uniform_among_what_is_available():
+    data = generate(NAME, "random", 4000)
+    observations, actions = np.concatenate(data.observations), np.concatenate(data.actions)
+    mask = observations[:, 55:] > 0
+    shares = np.zeros(12)
+    for action in range(12):
+        expected = (mask[:, action] / mask.sum(axis=1)).sum()
+        shares[action] = (actions[:, 0] == action).sum() / expected
+    np.testing.assert_allclose(shares, 1, atol=0.12)
+    assert all(choice_problem(data.of_agent(i), 12) is None for i in range(5))
+
+
+def test_names_of_adapted_maps_keep_their_slash():
+    name = DatasetName.parse("smax/5m_vs_6m/random")
+    assert (name.env_id, name.level) == ("smax/5m_vs_6m", "random")
+    with pytest.raises(UserError, match="unknown data set"):
+        DatasetName.parse("smac/5m_vs_6m/random")  # nobody makes it
 
 
 def test_the_usual_size_is_known():
