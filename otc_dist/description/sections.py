@@ -73,7 +73,9 @@ class SamplingSection(Section):
         description="hidden layers of Balanced Replay's w(s, a); its authors' are (256, 256)",
     )
     density_learning_rate: float = Field(
-        default=3e-4, gt=0, description="of w(s, a), as in Balanced Replay's code"
+        default=1e-3,
+        gt=0,
+        description="of w(s, a); its authors' is 3e-4 (docs/method.md compares both networks)",
     )
     temperature: float = Field(
         default=5.0, gt=0, description="T: Balanced Replay's priorities are w(s, a)^(1/T)"
