@@ -139,8 +139,8 @@ def test_a_move_covers_half_a_second_of_a_marines_speed():
 def test_enemies_that_see_nobody_march_on_the_agents_start():
     env = _env(agents=[(2.0, 9.0 + i) for i in range(AGENTS)], enemies=[(30.0, 16.0)] * ENEMIES)
     _step(env)
-    # Apart from being pushed off each other, half a second along the way to (9, 16).
-    assert _places(env)[AGENTS:, 0].mean() == pytest.approx(30 - 2.25 / 2, abs=0.01)
+    # Half a second along the way to (9, 16), and not towards the agents.
+    np.testing.assert_array_equal(_places(env)[AGENTS:], [(30 - 2.25 / 2, 16)] * ENEMIES)
 
 
 def test_enemies_come_into_reach_of_the_nearest_agent_and_shoot_it():
