@@ -5,6 +5,7 @@ from typing import Any
 
 from otc_dist.algorithms.awac import Awac
 from otc_dist.algorithms.bcq import Bcq
+from otc_dist.algorithms.bremen import Bremen
 from otc_dist.algorithms.cql import Cql
 from otc_dist.algorithms.discrete_cql import DiscreteCql
 from otc_dist.algorithms.interface import Algorithm
@@ -20,7 +21,7 @@ _ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
     "discrete-cql": DiscreteCql,
     "td3bc": Td3Bc,
 }
-_PLANNING: dict[str, Callable[..., Algorithm]] = {}  # take the task as well
+_PLANNING: dict[str, Callable[..., Algorithm]] = {"bremen": Bremen}  # take the task as well
 
 
 def create(section: AlgorithmSection, spec: AgentSpec, task: Task | None = None) -> Algorithm:

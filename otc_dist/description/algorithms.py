@@ -121,13 +121,26 @@ class Td3BcSection(LargeSection):
 
 
 class BremenSection(LargeSection):
-    """BREMEN. It has no Q, hence no d_q."""
+    """BREMEN. It has no Q, hence no d_q. docs/method.md compares it with its authors' code."""
 
     has_q: ClassVar[bool] = False
 
     name: Literal["bremen"] = "bremen"
-    actor_learning_rate: float = Field(default=1e-4, gt=0)
-    model_learning_rate: float = Field(default=5e-4, gt=0)
+    actor_learning_rate: float = Field(default=1e-4, gt=0, description="of the clone")
+    model_learning_rate: float = Field(default=5e-4, gt=0, description="Table 3's of the critic")
+    average_rate: float = Field(
+        default=1e-3, gt=0, le=1, description="of the averages of the models' and clone's weights"
+    )
+    models: int = Field(default=5, ge=1, description="dynamics models in the ensemble")
+    improvements: int = Field(
+        default=50, ge=0, description="trust-region steps after each phase's updates"
+    )
+    horizon: int = Field(default=100, ge=1, description="steps of a rollout in the models")
+    std: float = Field(default=0.1, gt=0, description="of the policy in rollouts")
+    trace: float = Field(default=0.95, ge=0, le=1, description="lambda of the advantages (GAE)")
+    radius: float = Field(
+        default=0.01, gt=0, description="largest mean KL divergence of one step, nats"
+    )
 
 
 AlgorithmSection = Annotated[

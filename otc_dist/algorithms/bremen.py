@@ -1,0 +1,273 @@
+"""BREMEN: behaviour-regularised model ensemble (Matsushima et al., ICLR 2021).
+
+An ensemble of dynamics models and a clone of the behaviour policy are fitted to the data; then a
+policy that starts from the clone is improved by TRPO in rollouts of the models. After the next
+deployment models and clone are fitted further, and the policy starts from the clone again. What
+keeps it near the data is where it starts and how little each step may change it.
+
+Rewards and ends of episodes in the rollouts are the task's, not learned, as in BREMEN's code.
+docs/method.md tells where this differs from that code, and why.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import mse_loss
+
+from otc_dist.algorithms.advantages import ValueFunction, generalised_advantages
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.dynamics import Ensemble, normalised_observations
+from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.networks import Mlp, descend, fresh_state
+from otc_dist.algorithms.trust_region import Step, trust_region_step
+from otc_dist.spec import Task
+
+AVERAGED_SHARE = 0.1  # of the updates made: the longest that weights are averaged over
+# The Fisher matrix is computed from every ninth state: a tenth was enough for TRPO's authors.
+# 9 and the usual batch of 128 have no common divisor, so that all rollouts contribute.
+FISHER_STRIDE = 9
+
+
+class Rollouts(NamedTuple):
+    """H steps in the models, B side by side; where one ends, another starts in its place."""
+
+    observations: Tensor  # (H, B, s)
+    actions: Tensor  # (H, B, a), as the policy drew them: beyond [-1, 1] perhaps
+    rewards: Tensor  # (H, B)
+    ends: Tensor  # (H, B) 0 or 1
+    last: Tensor  # (B, s), the states after the last step
+
+
+@dataclass(frozen=True)
+class Bremen:
+    """BREMEN for one agent with continuous actions in [-1, 1].
+
+    A policy is N(tanh f(s), std^2), bounded where it acts. Deployed is its mean. Rollouts and the
+    policy's start use averages of the models' and the clone's weights.
+
+    Attributes:
+        task: rewards and ends of the rollouts.
+        observation_size, action_size: the agent's own.
+        hidden: hidden layers of policy, clone and models.
+        actor_learning_rate: Table 3; the clone's, since TRPO has none.
+        model_learning_rate: Table 3's critic's; BREMEN has no critic, but models.
+        average_rate: by which averages follow the weights, at the least.
+        models: size of the ensemble.
+        improvements: trust-region steps after a phase's updates.
+        horizon: H, steps of a rollout.
+        std: of the policy in the rollouts; never learned.
+        trace: lambda of the advantage estimate.
+        radius: delta, the largest mean KL divergence of a step, nats.
+    """
+
+    task: Task
+    observation_size: int
+    action_size: int
+    hidden: tuple[int, ...]
+    actor_learning_rate: float
+    model_learning_rate: float
+    average_rate: float
+    discount: float
+    models: int
+    improvements: int
+    horizon: int
+    std: float
+    trace: float
+    radius: float
+
+    metric_names: tuple[str, ...] = ("model_loss", "clone_loss")
+    improvement_metric_names: tuple[str, ...] = (
+        "model_reward",  # of a step, mean
+        "model_ends",  # share of steps that end an episode
+        "value_error",  # of the value function before its fit, std over that of its targets
+        "gain",
+        "divergence",
+        "step_length",  # 1 for a full step, 0 for none
+    )
+
+    @cached_property
+    def ensemble(self) -> Ensemble:
+        return Ensemble(self.observation_size, self.action_size, self.hidden, self.models)
+
+    @cached_property
+    def actor(self) -> Mlp:
+        return Mlp((self.observation_size,), self.hidden, self.action_size)
+
+    @cached_property
+    def value_function(self) -> ValueFunction:
+        return ValueFunction(self.observation_size, self.discount)
+
+    def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
+        """Fresh networks; what else there is does not depend on chance.
+
+        Keys: models and clone, each with `_moments` (2, n) and `_average`; policy, equal to the
+        clone; `ValueFunction.initial_state`; `Ensemble.statistics` of B_0; updates (float64
+        scalar), the number of updates made.
+        """
+        state = fresh_state(
+            {
+                "models": self.ensemble.network.initialise(random),
+                "clone": self.actor.initialise(random),
+            }
+        )
+        return {
+            **state,
+            "models_average": state["models"].copy(),
+            "clone_average": state["clone"].copy(),
+            "policy": state["clone"].copy(),
+            **self.ensemble.statistics(offline),
+            **self.value_function.initial_state(random, offline),
+        }
+
+    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+        """Nothing: the minibatch is all that is random in an update."""
+        return {}
+
+    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+        """One gradient step of every model, and of the clone, on the same batch."""
+        state = dict(state, updates=state["updates"] + 1)
+        state, model_loss = descend(
+            state,
+            "models",
+            self.model_learning_rate,
+            lambda models: self.ensemble.loss(models, state, batch),
+        )
+        state, clone_loss = descend(
+            state,
+            "clone",
+            self.actor_learning_rate,
+            lambda clone: self.clone_loss(clone, state, batch),
+        )
+        for name in ("models", "clone"):
+            state[f"{name}_average"] = self.average(state, name)
+        return state, torch.stack((model_loss / self.models, clone_loss))
+
+    def clone_loss(self, clone: Tensor, state: State, batch: Batch) -> Tensor:
+        """mean (a - tanh f(s))^2, which is the negative log likelihood up to constants."""
+        observations = normalised_observations(state, batch.observation)
+        return mse_loss(self.mean(clone, observations), batch.action)
+
+    def average(self, state: State, name: str) -> Tensor:
+        """Exponential moving average of a network's weights (n,), after an update.
+
+        It reaches back over the last 1 / average_rate updates, or, if that is less, over about
+        AVERAGED_SHARE of all.
+        """
+        count = state["updates"]
+        weight = (1 / (1 + AVERAGED_SHARE * (count - 1))).clamp(min=self.average_rate)
+        return torch.lerp(state[f"{name}_average"], state[name], weight.to(state[name].dtype))
+
+    def mean(self, actor: Tensor, normalised: Tensor) -> Tensor:
+        """tanh f(s) (..., a) of a policy or the clone, for normalised observations (..., s)."""
+        return self.actor.apply(actor, normalised).tanh()
+
+    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+        """Nothing: the mean is deployed."""
+        return {}
+
+    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+        return self.mean(state["policy"], normalised_observations(state, observations))
+
+    def begin_improvement(self, state: State) -> State:
+        """The policy starts from the clone; the value function goes on from where it was."""
+        return dict(state, policy=state["clone_average"])
+
+    def improvement_noise(self, batch_size: int) -> Mapping[str, Draw]:
+        steps = (self.horizon, batch_size)
+        return {
+            "action": Draw("normal", (*steps, self.action_size)),
+            "model": Draw("uniform", (self.horizon,)),
+            "restart": Draw("uniform", steps),
+            "value": self.value_function.noise(),
+        }
+
+    def improve(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+        """Rollouts, a trust-region step of the policy, then a fit of the value function.
+
+        The order is BREMEN's: the value function has not seen the rollouts that it judges.
+        """
+        rollouts = self.rollouts(state, batch, noise)
+        visited = torch.cat((rollouts.observations, rollouts.last.unsqueeze(0)))
+        normalised = normalised_observations(state, visited)
+        values = self.value_function.values(state, normalised)
+        advantages = generalised_advantages(
+            rollouts.rewards, rollouts.ends, values, self.discount, self.trace
+        )
+        observations = normalised[:-1].flatten(0, 1)
+        step = self.step(state["policy"], observations, rollouts.actions, advantages)
+        targets = advantages + values[:-1]
+        new = self.value_function.fit(state, observations, targets.flatten(), noise["value"])
+        metrics = (
+            rollouts.rewards.mean(),
+            rollouts.ends.mean(),
+            advantages.std() / targets.std(),
+            step.gain,
+            step.divergence,
+            step.length,
+        )
+        return dict(new, policy=step.parameters), torch.stack(metrics)
+
+    def rollouts(self, state: State, batch: Batch, noise: Draws) -> Rollouts:
+        """Rollouts of the policy from the batch's states.
+
+        At each step one model, drawn at random, moves all of them, as in BREMEN's code. Where an
+        episode ends, another starts from a random state of the batch.
+        """
+        models = self.ensemble.network.apart(state["models_average"])
+        which = (noise["model"] * self.models).long()
+        restarts = (noise["restart"] * len(batch.observation)).long()
+        observation = batch.observation
+        steps = []
+        for t in range(self.horizon):
+            mean = self.mean(state["policy"], normalised_observations(state, observation))
+            drawn = mean + self.std * noise["action"][t]
+            action = drawn.clamp(-1, 1)
+            following = self.ensemble.predict(models[which[t]], state, observation, action)
+            reward = self.task.reward(observation, action, following)
+            end = self.task.terminated(following)
+            steps.append((observation, drawn, reward, end.to(reward.dtype)))
+            start = batch.observation[restarts[t]]
+            observation = torch.where(end.unsqueeze(-1), start, following)
+        observations, actions, rewards, ends = map(torch.stack, zip(*steps, strict=True))
+        return Rollouts(observations, actions, rewards, ends, observation)
+
+    def step(
+        self, policy: Tensor, observations: Tensor, actions: Tensor, advantages: Tensor
+    ) -> Step:
+        """One trust-region step of the policy.
+
+        L = E[pi(a|s) / pi_old(a|s) A], A standardised, and
+        KL(pi_old || pi) = |mu_old - mu|^2 / (2 std^2).
+
+        Args:
+            policy: theta_old (n,).
+            observations: normalised (N, s).
+            actions, advantages: (H, B, a) and (H, B), N = H B.
+        """
+        centred = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
+        weights, actions = centred.flatten(), actions.flatten(0, 1)
+        old = self.mean(policy, observations)
+        variance = self.std**2
+
+        def outcome(policy: Tensor) -> tuple[Tensor, Tensor]:
+            mean = self.mean(policy, observations)
+            distances = ((actions - old) ** 2 - (actions - mean) ** 2).sum(-1)
+            ratio = (distances / (2 * variance)).exp()
+            return ((ratio - 1) * weights).mean(), divergence(mean, old)
+
+        def divergence(mean: Tensor, old: Tensor) -> Tensor:
+            return ((mean - old) ** 2).sum(-1).mean() / (2 * variance)
+
+        some, old_some = observations[::FISHER_STRIDE], old[::FISHER_STRIDE]
+        return trust_region_step(
+            policy,
+            lambda policy: outcome(policy)[0],
+            outcome,
+            lambda policy: divergence(self.mean(policy, some), old_some),
+            self.radius,
+        )
