@@ -62,11 +62,18 @@ def _made_up(agent: AgentSpec, rows: int) -> Transitions:
     random = stream(0, agent.name, "compile", rows)
     low, high = np.array(agent.action_low), np.array(agent.action_high)
     no = np.zeros(rows, dtype=np.bool_)
+    observations, next_observations = random.standard_normal(
+        (2, rows, agent.observation_size), np.float32
+    )
+    actions = random.uniform(low, high, (rows, agent.action_size)).astype(np.float32)
+    if agent.choices:  # indices, all of them available
+        actions = np.rint(actions)
+        observations[:, -agent.choices :] = next_observations[:, -agent.choices :] = 1
     return Transitions(
-        observations=random.standard_normal((rows, agent.observation_size), np.float32),
-        actions=random.uniform(low, high, (rows, agent.action_size)).astype(np.float32),
+        observations=observations,
+        actions=actions,
         rewards=random.standard_normal(rows, np.float32),
-        next_observations=random.standard_normal((rows, agent.observation_size), np.float32),
+        next_observations=next_observations,
         terminated=no,
         truncated=no,
     )
