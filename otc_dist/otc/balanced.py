@@ -83,25 +83,25 @@ class Balanced:
 
     def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
         chosen = priorities.choose(*_priorities(state), draws["priority"])
-        numbers = {"offline": draws["offline"], "online": draws["online"], "chosen": chosen}
-        rows = {name: data.rows.index_select(0, number) for name, number in numbers.items()}
-        return {**rows, "numbers": chosen}
+        numbers = torch.cat((draws["offline"], draws["online"], chosen))
+        return {"numbers": chosen, "rows": data.rows.index_select(0, numbers)}
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
         """The rows drawn by priority. w takes one step, and their priorities are set anew:
         w(s, a)^(1/T) / mean over the offline minibatch of w^(1/T), by w before the step.
         """
         density, numbers = state["sampler_density"], gathered["numbers"]
+        offline, online, chosen = gathered["rows"].chunk(3)
         updates = state["sampler_updates"] + 1
         _, gradient = value_and_gradient(
-            lambda density: self.loss(density, gathered["offline"], gathered["online"]), density
+            lambda density: self.loss(density, offline, online), density
         )
         trained, moments = adam(
             density, gradient, state["sampler_density_moments"], updates, self.learning_rate
         )
         root = 1 / self.temperature
-        level = (self.ratio(density, gathered["offline"]) ** root).mean() + TINY
-        found = (self.ratio(density, gathered["chosen"]) ** root / level).clamp(*PRIORITY_RANGE)
+        level = (self.ratio(density, offline) ** root).mean() + TINY
+        found = (self.ratio(density, chosen) ** root / level).clamp(*PRIORITY_RANGE)
         held = state["sampler_priorities"].view(-1)[numbers]
         found = torch.where(found.isnan(), held, found)
         changed = {
