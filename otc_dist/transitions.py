@@ -4,6 +4,7 @@
 (its own), and `ReplayBuffer` is where a learner keeps them.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Self
@@ -14,6 +15,16 @@ from numpy.typing import NDArray
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
+
+
+_FEW = 64
+
+
+def all_finite(numbers: Float32) -> bool:
+    """Whether no number is NaN or infinite."""
+    if numbers.size <= _FEW:  # quicker; a sum of float32 in float64 never overflows
+        return math.isfinite(sum(numbers.ravel().tolist()))
+    return bool(np.isfinite(numbers).all())
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,13 @@ from otc_dist.bus.wire import (
     PROTOCOL_VERSION,
     RejectedError,
     check_booleans,
-    check_finite,
     name,
     natural,
     raw,
     unpack,
 )
 from otc_dist.spec import AgentSpec
-from otc_dist.transitions import Float32
+from otc_dist.transitions import Float32, all_finite
 
 POLICY_DIGEST_LENGTH = 16
 _QUESTION, _ANSWER = 8, 9  # fields
@@ -84,7 +83,8 @@ class AgentCodec:
         if len(body) != ends + 2 * copies:
             raise RejectedError("shape")
         data, array = bytearray(body), np.ndarray  # its constructor is the quickest way
-        check_finite(array((numbers,), FLOAT, data))
+        if not all_finite(array((numbers,), FLOAT, data)):
+            raise RejectedError("not-finite")
         check_booleans(body[ends:])
         rewards = 4 * copies * size
         outcome = StepOutcome(
@@ -175,5 +175,6 @@ def _floats(body: bytes, shape: tuple[int, int]) -> Float32:
     if len(body) != 4 * shape[0] * shape[1]:
         raise RejectedError("shape")
     array: Float32 = np.ndarray(shape, FLOAT, bytearray(body))
-    check_finite(array.ravel())
+    if not all_finite(array):
+        raise RejectedError("not-finite")
     return array

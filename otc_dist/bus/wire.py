@@ -14,14 +14,13 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.transitions import Bool, Float32
+from otc_dist.transitions import Bool, Float32, all_finite
 
 log = logging.getLogger(__name__)
 
 PROTOCOL_VERSION = 2
 _LONGEST_NAME = 256  # characters
 FLOAT, BOOLEAN = np.dtype("<f4"), np.dtype("?")
-_FEW = 64
 
 
 class RejectedError(Exception):
@@ -125,14 +124,6 @@ def raw(array: NDArray[Any], kind: np.dtype[Any] = FLOAT) -> bytes:
     return array.tobytes()
 
 
-def check_finite(array: Float32) -> None:
-    """Raises RejectedError unless all of the numbers (n,) are finite."""
-    # A sum of float32 in float64 never overflows. For few numbers this is the fastest way.
-    few = len(array) <= _FEW
-    if not (math.isfinite(sum(array.tolist())) if few else np.isfinite(array).all()):
-        raise RejectedError("not-finite")
-
-
 def check_booleans(value: bytes) -> None:
     """Raises RejectedError unless all bytes are 0 or 1."""
     if value.strip(b"\x00\x01"):  # what is left holds a byte that is neither
@@ -146,7 +137,8 @@ def floats(value: object, *shape: int) -> Float32:
     if len(value) != 4 * math.prod(shape):
         raise RejectedError("shape")
     flat = np.frombuffer(bytearray(value), FLOAT)  # a copy, to be writable
-    check_finite(flat)
+    if not all_finite(flat):
+        raise RejectedError("not-finite")
     return flat.reshape(shape)
 
 

@@ -1,19 +1,16 @@
 """The interface of every environment: E copies of one multi-agent task that step together."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import accumulate
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.spec import TeamSpec
-from otc_dist.transitions import Bool, Float32, Float64
+from otc_dist.transitions import Bool, Float32, Float64, all_finite
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """What one step of E copies and N agents brought. The arrays belong to the caller."""
 
     rewards: tuple[Float32, ...]  # N x (E,)
@@ -109,11 +106,7 @@ class JointActions:
         self._low = np.array([x for agent in spec.agents for x in agent.action_low], np.float32)
         self._high = np.array([x for agent in spec.agents for x in agent.action_high], np.float32)
         self._rows = np.empty((copies, len(self._low)), np.float32)
-        stops = accumulate(agent.action_size for agent in spec.agents)
-        self._parts = tuple(
-            self._rows[:, stop - agent.action_size : stop]
-            for agent, stop in zip(spec.agents, stops, strict=True)
-        )
+        self._shapes = [(copies, agent.action_size) for agent in spec.agents]
 
     def clipped(self, actions: Sequence[Float32]) -> Float32:
         """The joint action (E, sum of action sizes); valid until the next call.
@@ -121,14 +114,13 @@ class JointActions:
         Raises:
             ValueError: an array of the wrong shape, or an action that is not finite.
         """
-        if len(actions) != len(self._parts):
-            raise ValueError(f"{len(actions)} actions for {len(self._parts)} agents")
-        rows = self._rows
-        for name, part, action in zip(self._names, self._parts, actions, strict=True):
-            if action.shape != part.shape:
-                raise ValueError(f"the action of {name} has shape {action.shape}, not {part.shape}")
-            part[...] = action
-        if not np.isfinite(rows).all():
+        shapes = [action.shape for action in actions]
+        if shapes != self._shapes:
+            raise ValueError(
+                f"the actions of {self._names} have shapes {shapes}, not {self._shapes}"
+            )
+        rows = np.concatenate(actions, axis=1, out=self._rows)
+        if not all_finite(rows):
             raise ValueError("an action is not finite (NaN or infinity)")
         # Not np.clip: it takes longer than the two together.
         np.maximum(rows, self._low, out=rows)

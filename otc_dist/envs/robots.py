@@ -46,10 +46,12 @@ class RobotEnv:
         self._healthy = _healthy_range(self._robot)
         self._initial_qpos: Float64 = model.qpos0.copy()
         self._step_seconds = model.opt.timestep * self._robot.frame_skip
-        self._elapsed = np.zeros(copies, np.int64)
+        self._cost = np.float32(self._robot.control_cost)
+        self._elapsed = np.zeros((copies, 1), np.float64)  # steps
+        self._longest = 0  # the largest of them
+        self._values: Float64 | None = None  # what is seen, in full precision; None: look again
         self._actions = JointActions(self.spec, copies)
         self._before = np.empty(copies, np.float64)  # forward positions before the step, m
-        self._all_agents = range(self._agents)
 
     def reset(self, which: NDArray[np.int64], seeds: NDArray[np.int64]) -> None:
         """See `BatchedEnv.reset`; the same draws as gymnasium's `reset_model`."""
@@ -68,47 +70,67 @@ class RobotEnv:
         # As gymnasium's set_state: the forward pass leaves the solver's warm start behind.
         self._batch.forward(ids)
         self._elapsed[ids] = 0
+        self._moved()
 
     def observe(self) -> tuple[Float32, ...]:
         """See `BatchedEnv.observe`: one array for all agents."""
         robot = self._robot
-        observation: Float32 = np.concatenate(self._seen, axis=1, dtype=np.float32)
+        observation: Float32 = self._look().astype(np.float32)
         if robot.velocity_clip is not None:
             velocity = observation[:, robot.joints - 1 :]
             np.maximum(velocity, -robot.velocity_clip, out=velocity)
             np.minimum(velocity, robot.velocity_clip, out=velocity)
         return (observation,) * self._agents
 
+    def _look(self) -> Float64:
+        if self._values is None:
+            self._values = np.concatenate(self._seen, axis=1)
+        return self._values
+
+    def _moved(self) -> None:
+        """Forget what was derived from the states of before."""
+        self._values = None
+        self._longest = int(self._elapsed.max())
+
     def step(self, actions: Sequence[Float32]) -> Outcome:
         """See `BatchedEnv.step`."""
         robot = self._robot
         action = self._actions.clipped(actions)
         self._ctrl[...] = action
-        self._before[...] = self._forward
+        change = self._before
+        change[...] = self._forward
         self._batch.step(nstep=robot.frame_skip)
+        self._values = None
         self._elapsed += 1
+        self._longest += 1
         # The cost is summed in float32 and the rest in float64, as gymnasium does when it is
         # given float32 actions.
-        cost = np.float32(robot.control_cost) * np.square(action).sum(axis=1)
-        velocity = (self._forward - self._before) / self._step_seconds
+        cost = self._cost * np.add.reduce(np.square(action, out=action), axis=1)
+        np.subtract(self._forward, change, out=change)
+        velocity = np.divide(change, self._step_seconds, out=change)
         reward = (velocity + robot.healthy_reward - cost).astype(np.float32)
         terminated = self._fallen()
-        truncated = (self._elapsed >= self.spec.max_episode_steps) & ~terminated
+        if self._longest < self.spec.max_episode_steps:
+            truncated = np.zeros(self.copies, np.bool_)
+        else:
+            truncated = (self._elapsed[:, 0] >= self.spec.max_episode_steps) & ~terminated
         return Outcome((reward,) * self._agents, terminated, truncated)
 
     def _fallen(self) -> Bool:
         if self._healthy is None:
             return np.zeros(self.copies, np.bool_)
         low, high = self._healthy
-        values = np.concatenate(self._seen, axis=1)[:, : len(low)]
+        values = self._look()[:, : len(low)]
+        inside = values > low
+        inside &= values < high
         # So that what is not a number has fallen.
-        healthy: Bool = np.logical_and.reduce((values > low) & (values < high), axis=1)
+        healthy: Bool = np.logical_and.reduce(inside, axis=1)
         return ~healthy
 
     def state(self) -> Float64:
         """See `BatchedEnv.state`: elapsed steps, qpos, qvel, the solver's warm start."""
-        elapsed = self._elapsed[:, None].astype(np.float64)
-        return np.concatenate((elapsed, self._qpos, self._qvel, self._warmstart), axis=1)
+        parts = (self._elapsed, self._qpos, self._qvel, self._warmstart)
+        return np.concatenate(parts, axis=1)
 
     def set_state(self, state: Float64) -> None:
         """See `BatchedEnv.set_state`. Raises ValueError for another shape."""
@@ -117,10 +139,11 @@ class RobotEnv:
                 f"the state has shape {state.shape}, not {(self.copies, self.spec.state_size)}"
             )
         joints = self._robot.joints
-        self._elapsed[...] = state[:, 0]
+        self._elapsed[...] = state[:, :1]
         self._qpos[...] = state[:, 1 : 1 + joints]
         self._qvel[...] = state[:, 1 + joints : 1 + 2 * joints]
         self._warmstart[...] = state[:, 1 + 2 * joints :]
+        self._moved()
 
     def close(self) -> None:
         """Nothing to release: the simulator's memory goes with the object."""

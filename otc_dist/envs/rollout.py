@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from otc_dist.envs.base import BatchedEnv, Contest, Versioned
 from otc_dist.randomness import derive_seed
-from otc_dist.transitions import Bool, Float32, JointStep
+from otc_dist.transitions import Bool, Float32, Float64, JointStep
 
 Phase = Literal["deployment", "evaluation"]
 
@@ -44,7 +44,7 @@ class Rollout:
         self._numbers = np.zeros(env.copies, np.int64)  # which episode each copy is in
         self._seeds = np.zeros(env.copies, np.int64)
         self._returns = np.zeros(env.copies, np.float64)
-        self._lengths = np.zeros(env.copies, np.int64)
+        self._begun = np.zeros(env.copies, np.int64)  # each copy's episode: at which step
         self._counted = np.zeros(env.copies, np.bool_)  # copies with an episode that counts
         self._episodes: list[Episode] = []
         self._reset(np.arange(env.copies))
@@ -77,7 +77,7 @@ class Rollout:
         joint_step = JointStep(
             step=self.step,
             observations=observations,
-            actions=tuple(np.array(action, np.float32) for action in actions),
+            actions=tuple([np.array(action, np.float32) for action in actions]),
             rewards=outcome.rewards,
             next_observations=successors,
             terminated=outcome.terminated,
@@ -87,9 +87,7 @@ class Rollout:
             state=state,
         )
         self.step += 1
-        total = np.add.reduce(outcome.rewards, axis=0, dtype=np.float64)
-        self._returns += total / len(outcome.rewards)
-        self._lengths += 1
+        self._returns += _mean(outcome.rewards)
         (ended,) = (outcome.terminated | outcome.truncated).nonzero()
         if len(ended):
             self._finish(ended, outcome.terminated & outcome.truncated)
@@ -109,13 +107,13 @@ class Rollout:
                     copy,
                     int(self._numbers[copy]),
                     float(self._returns[copy]),
-                    int(self._lengths[copy]),
+                    self.step - int(self._begun[copy]),
                     None if won is None else bool(won[copy]),
                 )
             )
         self._numbers[ended] += 1
         self._returns[ended] = 0.0
-        self._lengths[ended] = 0
+        self._begun[ended] = self.step
         self._reset(ended)
 
     @property
@@ -151,3 +149,11 @@ class Rollout:
     def finished(self) -> bool:
         """Whether every copy has ended an episode that counts: an evaluation is complete."""
         return bool(self._counted.all())
+
+
+def _mean(rewards: Sequence[Float32]) -> Float32 | Float64:
+    """The mean over the agents (E,); a reward that they share is one array."""
+    if len(set(map(id, rewards))) == 1:
+        return rewards[0]
+    total: Float64 = np.add.reduce(rewards, axis=0, dtype=np.float64)
+    return total / len(rewards)
