@@ -45,9 +45,10 @@ class Embedder:
                 `active_dimensions`.
         """
         embedding, size, updates = self._embedding, self._section.batch_size, self._section.updates
-        initial = embedding.initial_state(random("initial"), self._batch(rows.cpu()))
+        layout = self._layout
+        initial = embedding.initial_state(random("initial"), _batch(rows.cpu(), layout))
         step = self._engine.fuse(
-            lambda state, rows, draws: embedding.update(state, self._batch(rows), draws)
+            lambda state, rows, draws: embedding.update(state, _batch(rows, layout), draws)
         )
 
         def update(state: State, draws: Draws) -> tuple[State, Tensor]:
@@ -76,12 +77,7 @@ class Embedder:
         with torch.no_grad():
             for first in range(0, len(rows), CHUNK):
                 part = slice(first, first + CHUNK)
-                out[part] = self._embedding.embed(self.state, self._batch(rows[part]))
-
-    def _batch(self, rows: Tensor) -> Batch:
-        """Transitions of packed rows; a discrete action is told as a one-hot vector."""
-        batch = unpack(rows, self._layout)
-        return batch._replace(action=action_features(batch.action, self._layout.choices))
+                out[part] = self._embedding.embed(self.state, _batch(rows[part], self._layout))
 
     def _count_active(self, rows: Tensor) -> int:
         embeddings = torch.empty(len(rows), self._section.size, device=rows.device)
@@ -95,3 +91,9 @@ class Embedder:
                 self._section.size,
             )
         return active
+
+
+def _batch(rows: Tensor, layout: RowLayout) -> Batch:
+    """Transitions of packed rows; a discrete action is told as a one-hot vector."""
+    batch = unpack(rows, layout)
+    return batch._replace(action=action_features(batch.action, layout.choices))

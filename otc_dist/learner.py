@@ -117,10 +117,9 @@ class Learner:
         offline = unpack(torch.from_numpy(self._buffer.rows[: len(data)]), self._layout)
         initial = self._algorithm.initial_state(self._stream("initial"), offline)
         self._state: State = to_tensors(initial, device)
+        base, layout = self._algorithm, self._layout  # equal ones are compiled once
         step = self._engine.fuse(
-            lambda state, rows, draws: self._algorithm.update(
-                state, unpack(rows, self._layout), draws
-            )
+            lambda state, rows, draws: base.update(state, unpack(rows, layout), draws)
         )
         self._offline, self._online = (
             Trainer(

@@ -103,11 +103,12 @@ class Bcq(ActorCritic):
 
     def vae_loss(self, vae: Tensor, batch: Batch, noise: Tensor) -> Tensor:
         """mean (a - a_hat)^2 + 0.5 KL(N(mu, sigma) || N(0, 1)), KL as a mean over elements."""
-        encoded = self.encoder.apply(vae[: self.encoder.size], batch.observation, batch.action)
+        encoder, decoder = self._split(vae)
+        encoded = self.encoder.apply(encoder, batch.observation, batch.action)
         mean, log_std = encoded.chunk(2, dim=-1)
         log_std = log_std.clamp(*LOG_STD_RANGE)
         std = log_std.exp()
-        decoded = self.decode_latent(vae, batch.observation, mean + std * noise)
+        decoded = self._decode(decoder, batch.observation, mean + std * noise)
         divergence = -0.5 * (1 + 2 * log_std - mean**2 - std**2).mean()
         return mse_loss(decoded, batch.action) + KL_WEIGHT * divergence
 
@@ -132,11 +133,15 @@ class Bcq(ActorCritic):
 
     def decode(self, vae: Tensor, observations: Tensor, noise: Tensor) -> Tensor:
         """Actions decoded from standard normal `noise`, clipped as BCQ does."""
-        return self.decode_latent(vae, observations, noise.clamp(-LATENT_CLIP, LATENT_CLIP))
+        _, decoder = self._split(vae)
+        return self._decode(decoder, observations, noise.clamp(-LATENT_CLIP, LATENT_CLIP))
 
-    def decode_latent(self, vae: Tensor, observations: Tensor, latent: Tensor) -> Tensor:
+    def _split(self, vae: Tensor) -> tuple[Tensor, ...]:
+        return torch.split(vae, [self.encoder.size, self.decoder.size])
+
+    def _decode(self, decoder: Tensor, observations: Tensor, latent: Tensor) -> Tensor:
         """Actions in [-1, 1] decoded from latent vectors."""
-        return self.decoder.apply(vae[self.encoder.size :], observations, latent).tanh()
+        return self.decoder.apply(decoder, observations, latent).tanh()
 
     def perturb(self, actor: Tensor, observations: Tensor, actions: Tensor) -> Tensor:
         """clip(a + phi tanh(xi(s, a)))."""

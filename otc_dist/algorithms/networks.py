@@ -5,7 +5,7 @@ and a state dictionary holds a few tensors instead of a hundred.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
@@ -14,16 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.func import grad_and_value
-from torch.nn.functional import conv2d, relu
+from torch.nn.functional import relu
 
 Tensors = tuple[Tensor, ...]
+Layers = Sequence[tuple[Tensor, Tensor]]
 
 ADAM_BETAS = (0.9, 0.999)
 ADAM_EPSILON = 1e-8
-# Multiplications from which a matrix product is faster as a convolution: torch's products (MKL)
-# leave half of an AMD processor's vector width unused, its convolutions (oneDNN) do not.
-LARGE = 2**24
-IMAGES = 16  # fewer, and a single thread does not use oneDNN
+LARGE = 2**20  # multiplications from which twin networks are faster one by one
 
 
 @dataclass(frozen=True)
@@ -68,29 +66,24 @@ class Mlp:
             parameters: flat vector (size,).
             inputs: one tensor (..., size) for each of `self.inputs`; leading shapes broadcast.
         """
-        if self.copies > 1 and self._convolves(parameters, inputs):
-            alone = self.apart(parameters).unbind(0)
-            return torch.stack([self.first()._forward(x, inputs, _convolve) for x in alone])
-        return self._forward(parameters, inputs, _times)
-
-    def _convolves(self, parameters: Tensor, inputs: Tensors) -> bool:
+        layers = self._split(parameters)
         leading = (value.shape[:-1] for value in inputs)
         rows = math.prod(torch.broadcast_shapes(*leading))  # type: ignore[no-untyped-call]
-        large = rows * max(fan_in * fan_out for fan_in, fan_out in self._layers) >= LARGE
-        suited = parameters.device.type == "cpu" and parameters.dtype == torch.float32
-        return large and suited and rows % IMAGES == 0
+        # Not of more than two: what is compiled would grow with their number.
+        if self.copies == 2 and rows * max(i * o for i, o in self._layers) >= LARGE:
+            twins = [zip(torch.split(w, 1), torch.split(b, 1), strict=True) for w, b in layers]
+            return torch.cat([self._forward(twin, inputs) for twin in zip(*twins, strict=True)])
+        outputs = self._forward(layers, inputs)
+        return outputs[0] if self.copies == 1 else outputs
 
-    def _forward(
-        self, parameters: Tensor, inputs: Tensors, times: Callable[[Tensor, Tensor], Tensor]
-    ) -> Tensor:
-        layers = self._split(parameters)
+    def _forward(self, layers: Layers, inputs: Tensors) -> Tensor:
         weight, bias = layers[0]
         shares = torch.split(weight, list(self.inputs), dim=1)
         products = [_times_first(x, share) for x, share in zip(inputs, shares, strict=True)]
         hidden = _add_bias(reduce(torch.add, products), bias)
         for weight, bias in layers[1:]:
-            hidden = _add_bias(times(relu(hidden), weight), bias)
-        return hidden[0] if self.copies == 1 else hidden
+            hidden = _add_bias(_times(relu(hidden), weight), bias)
+        return hidden
 
     def first(self) -> "Mlp":
         """The shape of one copy alone; its parameters are `first_parameters`."""
@@ -105,16 +98,15 @@ class Mlp:
         parts = [part.reshape(self.copies, -1) for pair in self._split(parameters) for part in pair]
         return torch.cat(parts, dim=1)
 
-    def _split(self, parameters: Tensor) -> list[tuple[Tensor, Tensor]]:
+    def _split(self, parameters: Tensor) -> Layers:
         """Views of each layer's weight (copies, fan_in, fan_out) and bias (copies, fan_out)."""
-        layers, start = [], 0
-        for fan_in, fan_out in self._layers:
-            middle = start + self.copies * fan_in * fan_out
-            end = middle + self.copies * fan_out
-            weight = parameters[start:middle].view(self.copies, fan_in, fan_out)
-            layers.append((weight, parameters[middle:end].view(self.copies, fan_out)))
-            start = end
-        return layers
+        sizes = [self.copies * size for i, o in self._layers for size in (i * o, o)]
+        # One split: its gradient is one concatenation, that of slices a sum of padded vectors.
+        parts = iter(torch.split(parameters, sizes))
+        return [
+            (next(parts).view(self.copies, i, o), next(parts).view(self.copies, o))
+            for i, o in self._layers
+        ]
 
 
 def _times_first(value: Tensor, weight: Tensor) -> Tensor:
@@ -131,17 +123,6 @@ def _times(hidden: Tensor, weight: Tensor) -> Tensor:
     else:
         product = torch.bmm(rows, weight)
     return product.view(*hidden.shape[:-1], weight.shape[-1])
-
-
-def _convolve(hidden: Tensor, weight: Tensor) -> Tensor:
-    """`_times` of one copy: images of a column of pixels, and filters of one pixel."""
-    _, fan_in, fan_out = weight.shape
-    if fan_out == 1:
-        return _times(hidden, weight)
-    images = hidden.reshape(IMAGES, -1, 1, fan_in).permute(0, 3, 1, 2)
-    filters = weight[0].t().reshape(fan_out, fan_in, 1, 1)
-    product = conv2d(images, filters).permute(0, 2, 3, 1)
-    return product.reshape(*hidden.shape[:-1], fan_out)
 
 
 def _add_bias(value: Tensor, bias: Tensor) -> Tensor:
@@ -188,8 +169,9 @@ def adam(
     beta1, beta2 = ADAM_BETAS
     first = torch.lerp(moments[0], gradient, 1 - beta1)
     second = beta2 * moments[1] + (1 - beta2) * gradient * gradient
-    size = (learning_rate / (1 - beta1**count)).to(parameters.dtype)
-    root = torch.sqrt(1 - beta2**count).to(parameters.dtype)
+    # Stacked, compiled code has them in memory and does not compute powers for every parameter.
+    corrections = torch.stack((learning_rate / (1 - beta1**count), torch.sqrt(1 - beta2**count)))
+    size, root = corrections.to(parameters.dtype)
     parameters = parameters - size * first / (second.sqrt() / root + ADAM_EPSILON)
     return parameters, torch.stack((first, second))
 

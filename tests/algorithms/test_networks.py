@@ -10,13 +10,13 @@ from otc_dist.algorithms.networks import LARGE, Mlp, value_and_gradient
 TWINS = Mlp(inputs=(5, 2), hidden=(128, 128), outputs=1, copies=2)
 
 
-@pytest.mark.parametrize("states", [128, 64])  # the second below LARGE
+@pytest.mark.parametrize("states", [16, 2])  # the second below LARGE
 def test_outputs_and_gradients_of_large_products_are_those_of_double_precision(
     states: int,
 ) -> None:
     random = np.random.default_rng(0)
     actions = 12
-    assert (states * actions * 128 * 128 >= LARGE) == (states == 128)
+    assert (states * actions * 128 * 128 >= LARGE) == (states == 16)
     parameters = torch.from_numpy(TWINS.initialise(random))
     s = torch.from_numpy(random.standard_normal((states, 1, 5)))
     a = torch.from_numpy(random.standard_normal((states, actions, 2)))
