@@ -14,13 +14,14 @@ import importlib.util
 import multiprocessing as mp
 import os
 import queue
+import signal
 import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import msgpack
 import numpy as np
@@ -77,21 +78,29 @@ def plain_actions(answers: Sequence[bytes]) -> list[np.ndarray]:
 
 
 Step = Callable[[int], object]
-Transport = Callable[[Path], Iterator[Step]]  # a generator: yields its step once, then cleans up
+Transport = Callable[[Path], AbstractContextManager[Step]]  # leaving it ends what it started
 
 
-def _spawn(target: Callable[..., None], *arguments: object) -> list[Any]:
+def _serve(target: Callable[..., None], *arguments: object) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the host ends its agents
+    target(*arguments)
+
+
+@contextmanager
+def _agents(target: Callable[..., None], *arguments: object) -> Iterator[None]:
     context = mp.get_context("spawn")
-    processes = [context.Process(target=target, args=(i, *arguments)) for i in AGENTS]
+    processes = [
+        context.Process(target=_serve, args=(target, index, *arguments), daemon=True)
+        for index in AGENTS
+    ]
     for process in processes:
         process.start()
-    return processes
-
-
-def _end(processes: Sequence[Any]) -> None:
-    for process in processes:
-        process.terminate()
-        process.join()
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.kill()
+            process.join()
 
 
 def _our_agent(index: int, endpoint: str) -> None:
@@ -104,14 +113,14 @@ def _our_agent(index: int, endpoint: str) -> None:
                 side.answer(Action(asked.moment, policy(asked.observations), DIGEST))
 
 
+@contextmanager
 def ours(folder: Path) -> Iterator[Step]:
     endpoint = local_endpoint(folder)
     header = LogHeader("bench", 1, 0, "", "", TEAM, 1)
     writer = LogWriter.create(folder / "bench.mcap", header)
     seeds, state = np.zeros(1, np.int64), np.zeros((1, TEAM.state_size))
-    with Session.listen(endpoint, QUICK_PAYLOAD) as session:
+    with Session.listen(endpoint, QUICK_PAYLOAD) as session, closing(writer):
         host = HostLockstep(session, Keys("bench"), TEAM.agents, COPIES, 60.0, Rejections())
-        processes = _spawn(_our_agent, endpoint)
 
         def step(number: int) -> None:
             answers = host.ask([question(index, number) for index in AGENTS], acting=True)
@@ -120,9 +129,8 @@ def ours(folder: Path) -> Iterator[Step]:
             rewards = (OUTCOME.rewards,) * 3
             writer.write(JointStep(number, SEEN, actions, rewards, SEEN, *ends, seeds, state))
 
-        yield step
-        _end(processes)
-    writer.close()
+        with _agents(_our_agent, endpoint):
+            yield step
     remove_local_endpoint(endpoint)
 
 
@@ -135,6 +143,7 @@ def _zmq_agent(index: int, folder: str) -> None:
             socket.send(plain_answer(socket.recv()))
 
 
+@contextmanager
 def pyzmq(folder: Path) -> Iterator[Step]:
     import zmq
 
@@ -142,16 +151,17 @@ def pyzmq(folder: Path) -> Iterator[Step]:
     sockets = [context.socket(zmq.PAIR) for _ in AGENTS]
     for index, socket in enumerate(sockets):
         socket.bind(f"ipc://{folder}/zmq{index}")
-    processes = _spawn(_zmq_agent, str(folder))
 
     def step(number: int) -> list[np.ndarray]:
         for socket, payload in zip(sockets, plain_questions(number), strict=True):
             socket.send(payload)
         return plain_actions([socket.recv() for socket in sockets])
 
-    yield step
-    _end(processes)
-    context.destroy(linger=0)
+    try:
+        with _agents(_zmq_agent, str(folder)):
+            yield step
+    finally:
+        context.destroy(linger=0)
 
 
 def _pipe_agent(index: int, ends: Sequence[Connection]) -> None:
@@ -159,17 +169,17 @@ def _pipe_agent(index: int, ends: Sequence[Connection]) -> None:
         ends[index].send_bytes(plain_answer(ends[index].recv_bytes()))
 
 
+@contextmanager
 def pipe(folder: Path) -> Iterator[Step]:
     pairs = [mp.get_context("spawn").Pipe() for _ in AGENTS]
-    processes = _spawn(_pipe_agent, [theirs for _, theirs in pairs])
 
     def step(number: int) -> list[np.ndarray]:
         for (mine, _), payload in zip(pairs, plain_questions(number), strict=True):
             mine.send_bytes(payload)
         return plain_actions([mine.recv_bytes() for mine, _ in pairs])
 
-    yield step
-    _end(processes)
+    with _agents(_pipe_agent, [theirs for _, theirs in pairs]):
+        yield step
 
 
 def _grpc_agent(index: int, folder: str) -> None:
@@ -188,10 +198,10 @@ def _grpc_agent(index: int, folder: str) -> None:
     server.wait_for_termination()
 
 
+@contextmanager
 def grpc_streaming(folder: Path) -> Iterator[Step]:
     import grpc
 
-    processes = _spawn(_grpc_agent, str(folder))
     outgoing: list[queue.SimpleQueue[bytes | None]] = [queue.SimpleQueue() for _ in AGENTS]
     channels = [grpc.insecure_channel(f"unix:{folder}/grpc{index}") for index in AGENTS]
     streams = [
@@ -204,13 +214,16 @@ def grpc_streaming(folder: Path) -> Iterator[Step]:
             source.put(payload)
         return plain_actions([next(stream) for stream in streams])
 
-    yield step
-    for source, channel in zip(outgoing, channels, strict=True):
-        source.put(None)
-        channel.close()
-    _end(processes)
+    try:
+        with _agents(_grpc_agent, str(folder)):
+            yield step
+    finally:
+        for source, channel in zip(outgoing, channels, strict=True):
+            source.put(None)
+            channel.close()
 
 
+@contextmanager
 def ray_actors(folder: Path) -> Iterator[Step]:
     import ray
 
@@ -234,8 +247,10 @@ def ray_actors(folder: Path) -> Iterator[Step]:
         questions = zip(actors, plain_questions(number), strict=True)
         return plain_actions(ray.get([actor.act.remote(payload) for actor, payload in questions]))
 
-    yield step
-    ray.shutdown()
+    try:
+        yield step
+    finally:
+        ray.shutdown()
 
 
 # Name, what it needs, how it is made, and the most that our time a step may be of its time.
@@ -254,14 +269,13 @@ def main() -> None:
     arguments = parser.parse_args()
     limits: dict[str, float | None] = {"ours": None}
     times: dict[str, list[float]] = {}  # seconds a step, by round
-    with tempfile.TemporaryDirectory(prefix="lockstep") as name:
-        running = {"ours": ours(Path(name))}
+    with tempfile.TemporaryDirectory(prefix="lockstep") as name, ExitStack() as running:
+        steps = {"ours": running.enter_context(ours(Path(name)))}
         for peer, module, make, limit in PEERS:
             if importlib.util.find_spec(module) is None:
                 print(f"{peer}: left out, {module} is not installed")
             else:
-                running[peer], limits[peer] = make(Path(name)), limit
-        steps = {peer: next(transport) for peer, transport in running.items()}
+                steps[peer], limits[peer] = running.enter_context(make(Path(name))), limit
         numbers = dict.fromkeys(steps, 0)
         for length in (100, *[arguments.steps] * arguments.rounds):  # the first warms up
             for peer, step in steps.items():
@@ -270,8 +284,6 @@ def main() -> None:
                     step(number)
                 numbers[peer] += length
                 times.setdefault(peer, []).append((time.perf_counter() - start) / length)
-        for transport in running.values():
-            next(transport, None)
     print(f"{'':22} {'steps/s':>8} {'us/step':>8}   our time / its time (median, range, limit)")
     for peer, measured in times.items():
         median = statistics.median(measured[1:])
