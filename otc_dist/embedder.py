@@ -16,7 +16,7 @@ from otc_dist.otc.embedding import Embedding, active_dimensions
 from otc_dist.training import BLOCK, train
 from otc_dist.transitions import RowLayout
 
-CHUNK = 65_536  # rows embedded at once
+CHUNK = 8192  # rows embedded at once: more take memory, not less time
 log = logging.getLogger(__name__)
 
 

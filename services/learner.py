@@ -18,14 +18,13 @@ from otc_dist.bus.wire import Rejections
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
 from otc_dist.spec import AgentSpec
-from otc_dist.transitions import Transitions
 
 from .gathering import Gathering
 from .metrics import MetricsFile
 from .process import Run, parser, serve
 
 if TYPE_CHECKING:
-    from otc_dist.learner import Progress
+    from otc_dist.learner import Learner, Progress
 
 log = logging.getLogger(__name__)
 
@@ -57,9 +56,8 @@ class LearnerService:
         self._answered: Action | None = None
         session.declare_alive(run.keys.alive(agent.name))
 
-    def serve(self, data: Transitions) -> None:
-        """Train offline on `data`, B_0, then answer until the run is done."""
-        self._data = data
+    def serve(self) -> None:
+        """Train offline on B_0, then answer until the run is done."""
         self._task = registry.task(self._run.team.env_id)
         self._load(self._run.description.deployment.count)
         if self._learner.tuned < 0:
@@ -76,9 +74,7 @@ class LearnerService:
 
     def _load(self, newest: int) -> None:
         """A learner with the newest sound checkpoint up to pi_newest; a fresh one if none is."""
-        from otc_dist.learner import Learner
-
-        self._learner = Learner(self._run.description, self._agent, self._data, self._task)
+        self._learner = self._fresh()
         paths = [self._folder.checkpoint(self._name, k) for k in range(newest, -1, -1)]
         for path in [*paths, self._folder.offline_checkpoint(self._name)]:
             if not path.exists():
@@ -89,9 +85,23 @@ class LearnerService:
                 break
             except UserError as error:
                 log.warning("%s; trying an older one", error)
-                self._learner = Learner(self._run.description, self._agent, self._data, self._task)
+                self._learner = self._fresh()
         self._buffer_complete = self._learner.tuned <= 0
         self._digest = self._learner.policy_digest()
+
+    def _fresh(self) -> "Learner":
+        """A learner with B_0 from its agent's file, the only data file that this process opens.
+
+        The file is read again for another one: holding its content would double the memory.
+        """
+        # Imported here: with torch it takes seconds, in which the heartbeat beats already.
+        from otc_dist.datasets import store
+        from otc_dist.learner import Learner
+
+        dataset, agent = self._run.description.dataset, self._agent
+        path = store.agent_file(dataset.name, agent.name, dataset.transitions)
+        data = store.load_agent(path, agent.name)
+        return Learner(self._run.description, agent, data, self._task)
 
     def _pretrain(self) -> None:
         offline = self._folder.offline_checkpoint(self._name)
@@ -229,20 +239,9 @@ def main() -> None:
             agree(session, run.keys, run.spec, run.description.bus.answer_deadline)
             service = LearnerService(run, agent, session)
             with service.heartbeat:
-                service.serve(_own_data(run, agent))
+                service.serve()
 
     serve(body)
-
-
-def _own_data(run: Run, agent: AgentSpec) -> Transitions:
-    """B_0 of this agent, the only data file that this process opens."""
-    # Imported here: with torch it takes seconds, in which the heartbeat beats already.
-    from otc_dist.datasets import store
-
-    dataset = run.description.dataset
-    return store.load_agent(
-        store.agent_file(dataset.name, agent.name, dataset.transitions), agent.name
-    )
 
 
 if __name__ == "__main__":
