@@ -67,7 +67,7 @@ class BcqSection(SmallSection):
 
 
 class AwacSection(SmallSection):
-    """AWAC. What Table 3 leaves open is as in its authors' code (rlkit), for MuJoCo."""
+    """AWAC. What Table 3 leaves open is as in its authors' code, but for the temperature."""
 
     name: Literal["awac"] = "awac"
     actor_learning_rate: float = Field(default=1e-4, gt=0)
@@ -76,7 +76,7 @@ class AwacSection(SmallSection):
         default="softmax", description="softmax over the minibatch (rlkit) or exp up to 100 (CORL)"
     )
     temperature: float = Field(
-        default=2.0, gt=0, description="of the advantages; CORL's exponential has 1"
+        default=10.0, gt=0, description="of the advantages, in units of Q (rlkit: 2, CORL: 1)"
     )
 
 
