@@ -32,6 +32,7 @@ from otc_dist.errors import UserError
 from otc_dist.exploration import explore
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
+from otc_dist.otc.changes import Changes
 from otc_dist.otc.samplers import Data, Extent, Uniform
 from otc_dist.otc.similarity import expected_similarity
 from otc_dist.randomness import stream
@@ -107,13 +108,20 @@ class Learner:
         self._embedder: Embedder | None = None
         if sampling.name == "otc" and sampling.distance == "embedding":
             self._embedder = Embedder(description.embedding, self._layout, self._engine)
+        self._changes: Changes | None = None
+        if sampling.name == "otc" and sampling.distance == "change":
+            self._changes = Changes(self._layout)
 
         capacity, device = len(self._buffer.rows), self._engine.device
         width = description.embedding.size if self._embedder else 0
+        width = self._changes.size if self._changes else width
         self._data = Data(
             torch.from_numpy(self._buffer.rows).to(device), torch.zeros(capacity, width).to(device)
         )
         self._append(data, offline=True)
+        if self._changes:
+            self._changes.fit(self._data.rows[: len(data)])
+            self._embed(0, len(data))
         offline = unpack(torch.from_numpy(self._buffer.rows[: len(data)]), self._layout)
         initial = self._algorithm.initial_state(self._stream("initial"), offline)
         self._state: State = to_tensors(initial, device)
@@ -301,8 +309,9 @@ class Learner:
         self._embed(start, end)
 
     def _embed(self, start: int, end: int) -> None:
-        if self._embedder:
-            self._embedder.embed(self._data.rows[start:end], self._data.embeddings[start:end])
+        features = self._embedder or self._changes
+        if features:
+            features.embed(self._data.rows[start:end], self._data.embeddings[start:end])
 
     def _adapt(self, deployment: int) -> dict[str, float]:
         sampling = self.description.sampling

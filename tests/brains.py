@@ -14,6 +14,7 @@ ONLINE = 40  # transitions of a deployment
 ARMS = {
     "otc-embedding": ("sampling.distance=embedding",),
     "otc-value": ("sampling.distance=value",),
+    "otc-change": ("sampling.distance=change",),
     "uniform": ("sampling.name=uniform",),
     "online-only": ("sampling.name=online-only",),
     "balanced": ("sampling.name=balanced",),

@@ -13,6 +13,7 @@ NULL = "uniform-null"  # the reference with other minibatches: what chance alone
 _OTC = "sampling.name=otc"
 _EMBEDDING = (_OTC, "sampling.distance=embedding")
 _VALUE = (_OTC, "sampling.distance=value")
+_CHANGE = (_OTC, "sampling.distance=change")
 KNOWN: Arms = {
     "otc-embedding": _EMBEDDING,
     "otc-embedding-fixed": (*_EMBEDDING, "sampling.adaptive=false"),
@@ -20,6 +21,8 @@ KNOWN: Arms = {
     "otc-value-fixed": (*_VALUE, "sampling.adaptive=false"),
     "otc-value-paper": (*_VALUE, "sampling.normaliser=paper"),
     "otc-value-shared": (*_VALUE, "sampling.normaliser=shared"),
+    "otc-change": _CHANGE,
+    "otc-change-fixed": (*_CHANGE, "sampling.adaptive=false"),
     REFERENCE: ("sampling.name=uniform",),
     "online-only": ("sampling.name=online-only",),
     "balanced": ("sampling.name=balanced",),

@@ -8,7 +8,7 @@ from otc_dist.description.section import Section
 
 EngineName = Literal["auto", "compiled", "cuda-graph", "eager"]
 SamplingName = Literal["otc", "uniform", "online-only", "balanced"]
-DistanceName = Literal["embedding", "value"]
+DistanceName = Literal["embedding", "value", "change"]
 NormaliserName = Literal["relative", "shared", "paper"]
 
 
@@ -49,7 +49,10 @@ class SamplingSection(Section):
     """How minibatches are drawn from B_k while tuning (Algorithm 1, lines 10 to 14)."""
 
     name: SamplingName = "otc"
-    distance: DistanceName = Field(default="embedding", description="d_e or d_q")
+    distance: DistanceName = Field(
+        default="embedding",
+        description="d_e, d_q, or d_c: matched by (s, a), compared by s' - s",
+    )
     matching: Literal["minibatch", "exact"] = Field(
         default="minibatch",
         description="match against a minibatch D (the paper) or against all of D_k",
@@ -66,7 +69,7 @@ class SamplingSection(Section):
     normaliser: NormaliserName = Field(default="relative", description="of V(s') in d_q")
     value_samples: int = Field(default=1, ge=1, description="actions a value V(s') is the mean of")
     similarity_sample: int = Field(
-        default=20_000, ge=1, description="rows of B that Eq. 4 uses with d_e"
+        default=20_000, ge=1, description="rows of B that Eq. 4 uses with d_e and d_c"
     )
     density_hidden: tuple[PositiveInt, ...] = Field(
         default=(64, 64),

@@ -1,6 +1,6 @@
-"""The two d-functions of OTC: distances between transitions in embedding and in value.
+"""The d-functions of OTC: distances between transitions in embedding, in value and in change.
 
-Both answer one question for every transition of a minibatch B: how far is its next state from
+All answer one question for every transition of a minibatch B: how far is its next state from
 the next state of its best match in D (Eq. 1)?
 """
 
@@ -26,12 +26,32 @@ def nearest_l1(queries: Tensor, references: Tensor, ids: Ids | None = None) -> T
         references: mu (D, e).
         ids: if a transition must not match itself.
     """
+    return _gaps(queries, references, ids).amin(1)
+
+
+def matched_l1(queries: Tensor, references: Tensor, matched: int, ids: Ids | None = None) -> Tensor:
+    """d_c: l1 distance (B,) of s' - s to that of the best match by (s, a) (Eq. 1).
+
+    References in random order make ties fall at random.
+
+    Args:
+        queries: standardised [(s, a), s' - s] (B, n) of the minibatch B.
+        references: the same (D, n) of D.
+        matched: how many leading components are (s, a).
+        ids: if a transition must not match itself.
+    """
+    matches = _gaps(queries[:, :matched], references[:, :matched], ids).argmin(1)
+    return (queries[:, matched:] - references[:, matched:][matches]).abs().sum(1)
+
+
+def _gaps(queries: Tensor, references: Tensor, ids: Ids | None) -> Tensor:
+    """All l1 distances (B, D); infinite of a transition to itself."""
     total = (queries[:, :1] - references[:, 0]).abs()
     for column in range(1, queries.shape[1]):  # column by column: no (B, D, e) array
         total = total + (queries[:, column : column + 1] - references[:, column]).abs()
     if ids is not None:
         total = total.masked_fill(ids[0].unsqueeze(1) == ids[1], torch.inf)
-    return total.amin(1)
+    return total
 
 
 def match_values(queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:

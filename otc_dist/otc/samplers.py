@@ -19,7 +19,8 @@ from torch import Tensor
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Critic, State, unpack
 from otc_dist.description import SamplingSection
-from otc_dist.otc.distances import match_values, nearest_l1, next_state_distance
+from otc_dist.otc.changes import matched_size
+from otc_dist.otc.distances import match_values, matched_l1, nearest_l1, next_state_distance
 from otc_dist.otc.prioritization import prioritize
 from otc_dist.transitions import RowLayout
 
@@ -33,10 +34,12 @@ class Extent(NamedTuple):
 
 
 class Data(NamedTuple):
-    """What a learner holds of its own: packed rows, and their embeddings where d_e is used."""
+    """What a learner holds of its own: packed rows, and their embeddings where d_e is used, or
+    their features where d_c is.
+    """
 
     rows: Tensor  # (capacity, width)
-    embeddings: Tensor  # (capacity, e); e = 0 without d_e
+    embeddings: Tensor  # (capacity, e); e = 0 with d_q and without OTC
 
 
 class Selection(NamedTuple):
@@ -141,7 +144,7 @@ class Otc:
         return {}
 
     def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
-        source = data.embeddings if self.settings.distance == "embedding" else data.rows
+        source = data.rows if self.settings.distance == "value" else data.embeddings
         return {name: source.index_select(0, draws[name]) for name in ("candidates", "references")}
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
@@ -162,6 +165,9 @@ class Otc:
         if self.settings.distance == "embedding":
             nearest = nearest_l1(candidates, references, ids)
             return nearest, nearest.new_zeros(())
+        if self.settings.distance == "change":
+            changes = matched_l1(candidates, references, matched_size(self.layout), ids)
+            return changes, changes.new_zeros(())
         batch, online = unpack(candidates, self.layout), unpack(references, self.layout)
         matches = match_values(
             self._critic.q(state, batch.observation, batch.action),

@@ -7,7 +7,8 @@ from torch import Tensor
 from otc_dist.algorithms.draws import draw, to_tensors
 from otc_dist.algorithms.interface import Algorithm, Batch, Critic, State, unpack
 from otc_dist.description import SamplingSection
-from otc_dist.otc.distances import match_values, nearest_l1, next_state_distance
+from otc_dist.otc.changes import matched_size
+from otc_dist.otc.distances import match_values, matched_l1, nearest_l1, next_state_distance
 from otc_dist.otc.samplers import Data, Extent
 from otc_dist.transitions import RowLayout
 
@@ -25,16 +26,20 @@ def expected_similarity(
     random: np.random.Generator,
 ) -> tuple[float, float]:
     """𝔻_k by the described distance, and how many normalisers were guarded."""
-    if settings.distance == "embedding":
-        return embedding_similarity(data, extent, settings, random), 0.0
+    if settings.distance != "value":
+        return sampled_similarity(data, extent, layout, settings, random), 0.0
     assert isinstance(algorithm, Critic)  # a description without a Q does not ask for d_q
     return value_similarity(algorithm, state, data, extent, layout, settings, random)
 
 
-def embedding_similarity(
-    data: Data, extent: Extent, settings: SamplingSection, random: np.random.Generator
+def sampled_similarity(
+    data: Data,
+    extent: Extent,
+    layout: RowLayout,
+    settings: SamplingSection,
+    random: np.random.Generator,
 ) -> float:
-    """𝔻_k by d_e: the mean over a sample of B_k of the distance to the nearest of D_k.
+    """𝔻_k by d_e or d_c: the mean distance over a sample of B_k, matched against all of D_k.
 
     The sample has the same size at every k, so that 𝔻_k / 𝔻_{k-1} compares like with like.
     """
@@ -46,7 +51,12 @@ def embedding_similarity(
     total = 0.0
     for part in torch.split(chosen, PAIR_CHUNK):
         ids = (part, online) if settings.exclude_self else None
-        total += float(nearest_l1(data.embeddings[part], references, ids).double().sum())
+        queries = data.embeddings[part]
+        if settings.distance == "embedding":
+            distances = nearest_l1(queries, references, ids)
+        else:
+            distances = matched_l1(queries, references, matched_size(layout), ids)
+        total += float(distances.double().sum())
     return total / count
 
 

@@ -15,7 +15,7 @@ from otc_dist.description import SamplingSection
 from otc_dist.description.algorithms import BcqSection
 from otc_dist.otc import create_sampler
 from otc_dist.otc.samplers import Data, Extent, Otc
-from otc_dist.otc.similarity import embedding_similarity, value_similarity
+from otc_dist.otc.similarity import sampled_similarity, value_similarity
 from otc_dist.transitions import RowLayout
 
 from .. import references
@@ -26,6 +26,7 @@ EXTENT = Extent(offline=300, newest=360, size=400)  # D_1 is [300, 360), D_2 is 
 ALGORITHM = Bcq(S, A, **BcqSection(hidden=(16, 16)).model_dump(exclude={"name", "batch_size"}))
 STRATEGIES = [
     *product(["embedding"], ["relative"], [False, True], [False, True]),
+    *product(["change"], ["relative"], [False, True], [False, True]),
     *product(["value"], ["relative", "shared", "paper"], [False, True], [False, True]),
 ]
 
@@ -40,7 +41,7 @@ def held(seed: int = 0) -> Data:
     random = np.random.default_rng(seed)
     rows = random.standard_normal((450, LAYOUT.width))
     rows[:, LAYOUT.terminated] = random.random(450) < 0.2
-    embeddings = random.standard_normal((450, 4))
+    embeddings = random.standard_normal((450, S + A + S))  # as d_c's; any size is right for d_e
     for array in (rows, embeddings):
         array[EXTENT.size :] = np.nan
     return Data(torch.from_numpy(rows), torch.from_numpy(embeddings))
@@ -72,6 +73,14 @@ def plain_distances(
         mu = data.embeddings.numpy()
         gap = np.abs(mu[candidates][:, None] - mu[online][None]).sum(-1)
         return np.where(forbidden, np.inf, gap).min(1) if forbidden is not None else gap.min(1)
+    if section.distance == "change":
+        features, distances = data.embeddings.numpy(), []
+        for row in candidates:
+            allowed = [i for i in online if not (section.exclude_self and i == row)]
+            gaps = [np.abs(features[row] - features[i])[: S + A].sum() for i in allowed]
+            match = allowed[int(np.argmin(gaps))]
+            distances.append(np.abs(features[row] - features[match])[S + A :].sum())
+        return np.array(distances)
     rows = data.rows
 
     def q(numbers: Any) -> np.ndarray:
@@ -126,7 +135,7 @@ def test_otc_chooses_what_plain_loops_choose(
         assert chosen.tolist() == candidates[positions].tolist()
 
 
-@pytest.mark.parametrize("distance", ["embedding", "value"])
+@pytest.mark.parametrize("distance", ["embedding", "value", "change"])
 def test_minibatches_come_from_where_they_should(distance: str) -> None:
     sampler = Otc(ALGORITHM, LAYOUT, settings(distance=distance), BATCH)
     drawn = sampler.draw(np.random.default_rng(0), 500, EXTENT)
@@ -164,7 +173,7 @@ def test_terminal_next_states_have_value_zero() -> None:
     assert guarded == 64
 
 
-@pytest.mark.parametrize("distance", ["embedding", "value"])
+@pytest.mark.parametrize("distance", ["embedding", "value", "change"])
 def test_online_transitions_match_themselves_unless_excluded(distance: str) -> None:
     for exclude, expected in ((False, True), (True, False)):
         section = settings(distance=distance, matching="exact", exclude_self=exclude)
@@ -190,14 +199,15 @@ def test_uniform_covers_all_and_online_only_covers_the_online_data() -> None:
         assert torch.equal(selection.rows, one["batch"]) and selection.guarded == 0
 
 
+@pytest.mark.parametrize("distance", ["embedding", "change"])
 @pytest.mark.parametrize("exclude", [False, True])
-def test_expected_similarity_by_embedding_is_the_mean_nearest_distance(exclude: bool) -> None:
+def test_expected_similarity_is_the_mean_distance(exclude: bool, distance: str) -> None:
     data = held()
     everything = EXTENT._replace(offline=400)  # so that the sample is all of B_k
-    section = settings(similarity_sample=400, exclude_self=exclude)
+    section = settings(similarity_sample=400, exclude_self=exclude, distance=distance)
     numbers, online = np.arange(400), np.arange(360, 400)
     expected = plain_distances(section, state(), data, numbers, online, {}).mean()
-    found = embedding_similarity(data, everything, section, np.random.default_rng(0))
+    found = sampled_similarity(data, everything, LAYOUT, section, np.random.default_rng(0))
     assert found == pytest.approx(expected, rel=1e-12)
 
 
@@ -212,7 +222,7 @@ def test_sample_of_the_similarity_keeps_its_size_as_data_grow() -> None:
     for size in (360, 400):
         extent = EXTENT._replace(size=size, newest=size - 40)
         random = Counting(np.random.PCG64(0))
-        embedding_similarity(held(), extent, settings(similarity_sample=350), random)
+        sampled_similarity(held(), extent, LAYOUT, settings(similarity_sample=350), random)
     assert sizes == [300, 300]
 
 
