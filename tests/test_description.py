@@ -167,6 +167,8 @@ OTHER = {
     "algorithm.name": "td3bc",
     "algorithm.hidden": [3],
     "sampling.density_hidden": [3],
+    "deployment.exploration": "sequential",
+    "deployment.exploration_rate": 0.5,
     "sampling.name": "uniform",
     "sampling.distance": "value",
     "sampling.matching": "exact",

@@ -144,5 +144,5 @@ def test_another_protocol_version_is_refused_in_one_sentence(run: Services) -> N
     run.start("agent_0", stub=True, version=7)
     assert run.wait("agent_0") == 2
     last = run.output("agent_0").splitlines()[-1]
-    assert "protocol version 1 and this one 7: install the same version" in last
+    assert "protocol version 2 and this one 7: install the same version" in last
     assert run.running["host"].poll() is None

@@ -51,7 +51,7 @@ def _stub() -> types.ModuleType:
         return hashlib.blake2b(b"".join(parts), digest_size=32).digest()
 
     class Learner:
-        def __init__(self, description, spec, data) -> None:  # type: ignore[no-untyped-def]
+        def __init__(self, description, spec, data, task) -> None:  # type: ignore[no-untyped-def]
             self.tuned, self._spec, self._expected = -1, spec, 0
             self._state = digest(spec.name.encode(), data.observations.tobytes())
 
@@ -63,7 +63,7 @@ def _stub() -> types.ModuleType:
             report(Progress("offline", 0, 1, 1, {"loss": 1.0}))
             self.tuned = 0
 
-        def act(self, observations, phase, deployment, step):  # type: ignore[no-untyped-def]
+        def act(self, observations, phase, deployment, step, *, exploring):  # type: ignore[no-untyped-def]
             size = self._spec.action_size
             key = np.frombuffer(self._state, "<u8")[:2]
             weights = np.random.Generator(np.random.Philox(key=key)).standard_normal(
@@ -130,6 +130,7 @@ def _record(target: Path) -> set[str]:
 
 def _instrument(faults: dict[str, object], keys: set[str]) -> None:
     from otc_dist.bus import session as module
+    from otc_dist.bus.messages import PHASES
 
     session = module.Session
     delays = random.Random(" ".join(sys.argv))
@@ -144,7 +145,8 @@ def _instrument(faults: dict[str, object], keys: set[str]) -> None:
             if last == "status":
                 put(payload)
                 return
-            _, _, _, phase, deployment, _, step, *_ = msgpack.unpackb(payload)
+            _, _, _, number, deployment, _, step, *_ = msgpack.unpackb(payload)
+            phase = next(phase for phase, told in PHASES.items() if told == number)
             if faults.get("kill") == [phase, deployment, step]:
                 os.kill(os.getpid(), signal.SIGKILL)
             if faults.get("delay"):
@@ -189,9 +191,9 @@ def main() -> None:
     sys.argv = [service, *arguments]
     keys = _record(Path(record))
     if "version" in faults:
-        from otc_dist.bus import messages, replies, wire
+        from otc_dist.bus import codec, messages, replies, wire
 
-        for module in (wire, messages, replies):
+        for module in (wire, codec, messages, replies):
             module.PROTOCOL_VERSION = faults["version"]  # type: ignore[attr-defined]
     _instrument(faults, keys)
     if faults.get("stub"):
