@@ -9,15 +9,20 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
 from otc_dist.description import Description
-from otc_dist.learner import Learner, Progress
+from otc_dist.description.algorithms import AlgorithmSection
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 
+if TYPE_CHECKING:  # memory is counted from before torch's import
+    from otc_dist.learner import Learner, Progress
+
 UPDATES = 100  # a turn
+ENVS = {False: "hopper-3x1", True: "5m_vs_6m"}  # whose agents' sizes: by whether discrete
 OFFLINE, ONLINE = 402_000, 4_020  # |B_0| and M of Hopper's medium-replay
 
 Turn = Callable[[int], float]  # milliseconds an update, of turn number 1, 2, ...
@@ -68,7 +73,7 @@ def repeated(update: Callable[[], object]) -> Turn:
     return turn
 
 
-def tuning(learner: Learner, online: Transitions) -> Turn:
+def tuning(learner: "Learner", online: Transitions) -> Turn:
     """Turns of `Learner.tune`: the updates of a deployment, without what comes before and after.
 
     All of it: numbers drawn in bulk, gathers, sampling, update, metrics.
@@ -79,13 +84,19 @@ def tuning(learner: Learner, online: Transitions) -> Turn:
     def turn(number: int) -> float:
         marks: dict[int, float] = {}
 
-        def report(progress: Progress) -> None:
+        def report(progress: "Progress") -> None:
             marks[progress.update] = clock()
 
         learner.tune(number, online, report)
         return (marks[UPDATES] - marks[0]) * 1e3 / UPDATES
 
     return turn
+
+
+def sections() -> dict[str, type[AlgorithmSection]]:
+    """The description's section of every algorithm, by name."""
+    (union, *_) = get_args(AlgorithmSection)
+    return {section.model_fields["name"].default: section for section in get_args(union)}
 
 
 def describe(env_id: str, rounds: int, *assignments: str) -> Description:

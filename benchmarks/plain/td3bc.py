@@ -46,7 +46,9 @@ class PlainTd3Bc:
         if self.updates % 2 == 0:
             chosen = self.actor(s).tanh()
             q = self.critics.one(s, chosen)
-            actor_loss = mse_loss(chosen, a) - 2.5 / q.abs().mean().detach() * q.mean()
+            actor_loss = (
+                mse_loss(chosen, a) - self.section.q_weight / q.abs().mean().detach() * q.mean()
+            )
             step(self.actor_adam, actor_loss)
             follow(self.target_critics, self.critics, self.section.target_rate)
             follow(self.target_actor, self.actor, self.section.target_rate)
