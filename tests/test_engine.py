@@ -141,3 +141,5 @@ def test_a_process_may_compile_many_variants_and_compiles_each_once() -> None:
     for width in range(10):
         variant(width)(torch.ones(3))
     assert compiled() == start + 10
+    assert variant(3)(torch.ones(4)).tolist() == [5] * 4  # other shapes are never mistaken
+    assert compiled() == start + 11
