@@ -1,15 +1,10 @@
 """The command `python -m otc_dist.datasets`: list, make, show and import data sets."""
 
 import argparse
-import sys
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
+from otc_dist import progress
 from otc_dist.cache import cache_root
 from otc_dist.datasets import store
 from otc_dist.datasets.card import DatasetCard, Summary
@@ -39,7 +34,6 @@ examples:
 
 The cache is {cache}; set OTC_DIST_CACHE to keep it elsewhere.
 """
-_LINE_EVERY = 10.0  # seconds between lines of progress where there is no terminal
 
 
 def main(argv: list[str]) -> int:
@@ -48,8 +42,8 @@ def main(argv: list[str]) -> int:
     if arguments.command == "list":
         _list()
     elif arguments.command == "make":
-        with _progress(arguments.name) as progress:
-            card = store.ensure(arguments.name, arguments.transitions, progress)
+        with progress.shown(f"making {arguments.name}", "transitions") as report:
+            card = store.ensure(arguments.name, arguments.transitions, report)
         print(describe(card))
     elif arguments.command == "show":
         print(describe(_cached(arguments.name, arguments.transitions)))
@@ -178,40 +172,6 @@ def _table(rows: Sequence[tuple[str, ...]]) -> str:
         for row in rows
     )
     return "\n".join(lines)
-
-
-@contextmanager
-def _progress(name: str) -> Iterator[store.Progress]:
-    """A bar on a terminal; elsewhere a line now and then. On the standard error output."""
-    console = Console(stderr=True)
-    if console.is_terminal:
-        columns = (
-            TextColumn("making {task.description}"),
-            BarColumn(),
-            TextColumn("{task.completed:,.0f} of {task.total:,.0f}"),
-            TimeRemainingColumn(),
-        )
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = None
-
-            def draw(done: int, total: int) -> None:
-                nonlocal task
-                if task is None:
-                    task = bar.add_task(name, total=total)
-                bar.update(task, completed=done)
-
-            yield draw
-        return
-    printed = time.monotonic()
-
-    def write(done: int, total: int) -> None:
-        nonlocal printed
-        now = time.monotonic()
-        if now - printed >= _LINE_EVERY or done == total:
-            printed = now
-            print(f"making {name}: {done:,} of {total:,} transitions", file=sys.stderr, flush=True)
-
-    yield write
 
 
 if __name__ == "__main__":

@@ -6,8 +6,6 @@ episode, whatever the number of copies that play at the same time. A longer data
 policy begins with the rows of a shorter one.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,10 +16,9 @@ from otc_dist.datasets.sources import source_of
 from otc_dist.envs import registry
 from otc_dist.envs.base import Outcome
 from otc_dist.errors import UserError, unknown
+from otc_dist.progress import Report, silent
 from otc_dist.randomness import derive_seed, stream
 from otc_dist.transitions import Float32
-
-Progress = Callable[[int, int], None]  # (transitions done, transitions in all)
 
 # Copies that play at the same time: enough to share the policy's cost and to use some threads,
 # but few enough that little is played beyond the last row.
@@ -47,7 +44,7 @@ def generate(
     level: str,
     transitions: int,
     seed: int = 0,
-    progress: Progress | None = None,
+    report: Report = silent,
 ) -> JointTransitions:
     """Play and return exactly `transitions` joint transitions of an environment.
 
@@ -55,7 +52,7 @@ def generate(
     truncated: a limit that is not the task's ended it.
 
     Args:
-        progress: called now and then with (rows done, rows in all).
+        report: called now and then with (rows done, rows in all).
 
     Raises:
         UserError: as `parts`.
@@ -67,7 +64,7 @@ def generate(
         copies = max(1, min(_MAX_COPIES, (part.stop - part.start) // team.max_episode_steps))
         key = (seed, source.seed_name(env_id), level, part.policy)
         now = _Copies(env_id, copies, views, source.behaviour(env_id, part.policy), key)
-        _play(now, rows, part, progress)
+        _play(now, rows, part, report)
         now.env.close()
     return rows.joint()
 
@@ -155,7 +152,7 @@ class _Copies:
         )
 
 
-def _play(now: _Copies, rows: Rows, part: Part, progress: Progress | None) -> None:
+def _play(now: _Copies, rows: Rows, part: Part, report: Report) -> None:
     """Fill the rows of `part` with episodes."""
     # Episodes end in any order, but rows are written in the order of their numbers.
     ended: dict[int, Played] = {}
@@ -176,5 +173,5 @@ def _play(now: _Copies, rows: Rows, part: Part, progress: Progress | None) -> No
             played = now.played(int(current), terminated=False)
             filled = rows.write(filled, part.stop, played)
         steps += 1
-        if progress is not None and (steps % 64 == 0 or filled == part.stop):
-            progress(filled, len(rows))
+        if steps % 64 == 0 or filled == part.stop:
+            report(filled, len(rows))

@@ -9,7 +9,6 @@ all of it is on the disk.
 """
 
 import logging
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,12 +22,11 @@ from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
+from otc_dist.progress import Report, silent
 
 __all__ = ["agent_file", "ensure", "load_agent", "load_joint", "usual_size"]
 
 _SEED = 0  # of all data sets that we make: one name and size, one content
-
-Progress = Callable[[int, int], None]  # transitions made, of how many
 
 _log = logging.getLogger(__name__)
 
@@ -47,9 +45,7 @@ def agent_file(name: str, agent: str, transitions: int = 0) -> Path:
     return parsed.set_folder(transitions) / f"{agent}.safetensors"
 
 
-def ensure(
-    name: str, transitions: int = 0, progress: Progress = lambda done, total: None
-) -> DatasetCard:
+def ensure(name: str, transitions: int = 0, report: Report = silent) -> DatasetCard:
     """The data set, verified by its hashes; made first if it is absent, damaged or outdated.
 
     Two processes may ask for the same set at once: one makes it, the other waits.
@@ -77,7 +73,7 @@ def ensure(
             return card
         if fault is not None:
             _log.warning("making %s again: %s", folder, fault)
-        made = generate.generate(parsed.env_id, parsed.level, int(folder.name), _SEED, progress)
+        made = generate.generate(parsed.env_id, parsed.level, int(folder.name), _SEED, report)
         returns, incomplete = episode_returns(
             np.stack(made.rewards).mean(axis=0, dtype=np.float64),  # the team's: the agents' mean
             made.terminated,

@@ -113,7 +113,7 @@ def test_medium_replay_has_equal_shares_in_training_order(robot):
 
 def test_progress_ends_at_the_whole():
     calls = []
-    generate("hopper-3x1", "random", 5000, progress=lambda *now: calls.append(now))
+    generate("hopper-3x1", "random", 5000, report=lambda *now: calls.append(now))
     assert calls[-1] == (5000, 5000)
     assert calls == sorted(calls)
 

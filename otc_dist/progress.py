@@ -1,0 +1,51 @@
+"""How far something that takes its time has come: a bar on a terminal, elsewhere lines."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+Report = Callable[[int, int], None]  # done, of how many
+
+_LINE_EVERY = 10.0  # seconds between lines of progress where there is no terminal
+
+
+def silent(done: int, total: int) -> None:
+    """The `Report` of whoever shows nothing."""
+
+
+@contextmanager
+def shown(doing: str, unit: str) -> Iterator[Report]:
+    """Show on the standard error output how many of some `unit` are done, after what is `doing`."""
+    console = Console(stderr=True)
+    if console.is_terminal:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:,.0f} of {task.total:,.0f}"),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = None
+
+            def draw(done: int, total: int) -> None:
+                nonlocal task
+                if task is None:
+                    task = bar.add_task(doing, total=total)
+                bar.update(task, completed=done, total=total)
+
+            yield draw
+        return
+    printed = time.monotonic()
+
+    def write(done: int, total: int) -> None:
+        nonlocal printed
+        now = time.monotonic()
+        if now - printed >= _LINE_EVERY or done == total:
+            printed = now
+            print(f"{doing}: {done:,} of {total:,} {unit}", file=sys.stderr, flush=True)
+
+    yield write
