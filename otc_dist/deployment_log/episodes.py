@@ -11,7 +11,7 @@ from otc_dist.deployment_log.record import Rows
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode of one copy. Where neither end is set, the deployment ended before it did."""
+    """One episode of one copy. Where neither end is set, the steps ended before it did."""
 
     seed: int
     copy: int
@@ -20,23 +20,27 @@ class Episode:
     returns: tuple[float, ...]  # by agent, undiscounted
     terminated: bool
     truncated: bool
+    whole: bool = True  # False: earlier steps of it are missing; `start` is its first that is not
 
 
 def find_episodes(blocks: Iterable[Rows], agents: int) -> list[Episode]:
     """Episodes in order of their start, then of the copy; `blocks` are all steps, in order."""
-    columns = ("terminated", "truncated", "episode_seeds", *(f"rewards.{i}" for i in range(agents)))
+    rewards_of = tuple(f"rewards.{i}" for i in range(agents))
+    columns = ("step", "terminated", "truncated", "episode_seeds", *rewards_of)
     parts = [tuple(rows[name].copy() for name in columns) for rows in blocks]
     if not parts:
         return []
-    # Each (T, E).
-    terminated, truncated, seeds, *rewards = (
+    # Numbers (T,), all others (T, E).
+    numbers, terminated, truncated, seeds, *rewards = (
         np.concatenate(part) for part in zip(*parts, strict=True)
     )
     steps, copies = terminated.shape
+    missing = np.diff(numbers.astype(np.int64), prepend=-1) != 1  # something before this step is
+    after_gaps = np.flatnonzero(missing).tolist()
     episodes = []
     for copy in range(copies):
         ends = np.flatnonzero(terminated[:, copy] | truncated[:, copy])
-        starts = [0, *(int(end) + 1 for end in ends)]
+        starts = sorted({0, *after_gaps, *(int(end) + 1 for end in ends)})
         stops = [*starts[1:], steps]
         for start, stop in zip(starts, stops, strict=True):
             if start == stop:
@@ -45,13 +49,14 @@ def find_episodes(blocks: Iterable[Rows], agents: int) -> list[Episode]:
                 Episode(
                     seed=int(seeds[start, copy]),
                     copy=copy,
-                    start=start,
+                    start=int(numbers[start]),
                     length=stop - start,
                     returns=tuple(
                         float(reward[start:stop, copy].sum(dtype=np.float64)) for reward in rewards
                     ),
                     terminated=bool(terminated[stop - 1, copy]),
                     truncated=bool(truncated[stop - 1, copy]),
+                    whole=not missing[start],
                 )
             )
     return sorted(episodes, key=lambda episode: (episode.start, episode.copy))

@@ -19,6 +19,7 @@ SCHEMA = "otc_dist.JointStep"
 HEADER = "otc_dist.header"
 POLICIES = "otc_dist.policies"
 EPISODES = "otc_dist.episodes"
+RANGES = "otc_dist.ranges"  # only where steps are missing
 
 PARTIAL_SUFFIX = ".partial"
 MAXIMUM_RECORD = 64 * 2**20  # bytes of one record; a larger length is damage, not data

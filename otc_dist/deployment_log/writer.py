@@ -8,16 +8,13 @@ from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
-import mcap
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 
-import otc_dist
-from otc_dist.deployment_log import format as fmt
-from otc_dist.deployment_log.episodes import find_episodes, to_json
-from otc_dist.deployment_log.format import DamagedLogError, partial_path, seal
+from otc_dist.deployment_log.finishing import begin, sync_folder, write_finished
+from otc_dist.deployment_log.format import DamagedLogError, partial_path
 from otc_dist.deployment_log.header import LogHeader
-from otc_dist.deployment_log.reader import OpenLog
-from otc_dist.deployment_log.record import CHANNEL_ID, PAYLOAD_START, RecordLayout, StepEncoder
+from otc_dist.deployment_log.open_log import OpenLog
+from otc_dist.deployment_log.record import RecordLayout, StepEncoder
 from otc_dist.errors import UserError
 from otc_dist.transitions import JointStep
 
@@ -65,7 +62,7 @@ class LogWriter:
             stream.flush()
             os.fsync(stream.fileno())
         temporary.rename(partial)
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
         return cls(path, header, _open_locked(partial), 0, 0)
 
     @classmethod
@@ -137,45 +134,16 @@ class LogWriter:
     def finish(self, policies: Mapping[str, str]) -> Path:
         """Close the log and make the finished file of it; returns its path.
 
-        The steps' payloads stay the same to the byte. Chunked, compressed, indexed, with CRCs
-        over chunks, data and summary; `policies` (agent -> digest of the policy that acted) and
-        the table of episodes are added.
+        See `write_finished` for what is in it.
 
         Raises:
             OSError: the disk is full, ...: the unfinished log is still there.
             DamagedLogError: what was written does not read back.
         """
         self.close()
-        partial, temporary = partial_path(self.path), self.path.with_name(self.path.name + ".new")
-        try:
-            with OpenLog(partial) as log, temporary.open("wb") as stream:
-                writer = Writer(
-                    stream,
-                    chunk_size=fmt.CHUNK_SIZE,
-                    compression=CompressionType.ZSTD,
-                    enable_data_crcs=True,
-                )
-                _begin(writer, self.header)
-                for rows in log.blocks():
-                    for row in rows:
-                        writer.add_message(
-                            channel_id=CHANNEL_ID,
-                            log_time=int(row["log_time"]),
-                            publish_time=int(row["publish_time"]),
-                            sequence=int(row["step"]),
-                            data=row.tobytes()[PAYLOAD_START:],
-                        )
-                episodes = find_episodes(log.blocks(), len(self.header.team.agents))
-                writer.add_metadata(fmt.POLICIES, seal(policies))
-                writer.add_metadata(fmt.EPISODES, seal({"episodes": to_json(episodes)}))
-                writer.finish()  # type: ignore[no-untyped-call]
-                stream.flush()
-                os.fsync(stream.fileno())
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-        temporary.rename(self.path)
-        _sync_folder(self.path.parent)
+        partial = partial_path(self.path)
+        with OpenLog(partial) as log:
+            write_finished(self.path, self.header, log.blocks(), policies)
         partial.unlink()
         return self.path
 
@@ -191,30 +159,9 @@ def _open_locked(partial: Path) -> int:
     return file
 
 
-def _begin(writer: Writer, header: LogHeader) -> None:
-    """What stands before the steps, in the unfinished and in the finished log."""
-    entries = seal(header.to_entries())
-    layout = RecordLayout(header.team, header.copies)
-    writer.start(fmt.PROFILE, f"otc_dist {otc_dist.__version__}, mcap-python {mcap.__version__}")
-    writer.add_metadata(fmt.HEADER, entries)
-    schema = writer.register_schema(fmt.SCHEMA, "jsonschema", layout.schema())
-    channel = writer.register_channel(fmt.TOPIC, "msgpack", schema, metadata=entries)
-    if channel != CHANNEL_ID:
-        raise RuntimeError(f"the channel's id is {channel}, not {CHANNEL_ID}")
-
-
 def _prologue(header: LogHeader) -> bytes:
     out = BytesIO()
     writer = Writer(out, use_chunking=False)
-    _begin(writer, header)
+    begin(writer, header)
     writer.flush()  # type: ignore[no-untyped-call]
     return out.getvalue()
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make a rename in `folder` durable."""
-    file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)

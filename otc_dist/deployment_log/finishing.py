@@ -1,0 +1,106 @@
+"""Make a finished log of steps: chunked, compressed, indexed, with checksums over all of it."""
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+import mcap
+from mcap.writer import CompressionType, Writer
+
+import otc_dist
+from otc_dist.deployment_log import format as fmt
+from otc_dist.deployment_log.episodes import find_episodes, to_json
+from otc_dist.deployment_log.format import seal
+from otc_dist.deployment_log.header import LogHeader
+from otc_dist.deployment_log.record import CHANNEL_ID, PAYLOAD_START, RecordLayout, Rows
+
+
+def write_finished(
+    path: Path,
+    header: LogHeader,
+    blocks: Iterable[Rows],
+    policies: Mapping[str, str],
+    *,
+    replace: bool = False,
+) -> None:
+    """Write a finished log under its name only when it is whole.
+
+    The steps' payloads stay the same to the byte. Added are `policies` (agent -> digest of the
+    policy that acted), the table of episodes and, where steps are missing, which there are.
+
+    Args:
+        blocks: all steps, in order.
+        replace: whether a log at `path` may be replaced.
+
+    Raises:
+        FileExistsError: there is one, and it may not.
+        OSError: the disk is full, ...: nothing is left behind.
+    """
+    if path.exists() and not replace:
+        raise FileExistsError(f"{path} exists")
+    temporary = path.with_name(path.name + ".new")
+    try:
+        with temporary.open("wb") as stream:
+            writer = Writer(
+                stream,
+                chunk_size=fmt.CHUNK_SIZE,
+                compression=CompressionType.ZSTD,
+                enable_data_crcs=True,
+            )
+            begin(writer, header)
+            ranges: list[list[int]] = []
+            written = _write(writer, blocks, ranges)
+            episodes = find_episodes(written, len(header.team.agents))
+            writer.add_metadata(fmt.POLICIES, seal(policies))
+            writer.add_metadata(fmt.EPISODES, seal({"episodes": to_json(episodes)}))
+            if len(ranges) > 1 or (ranges and ranges[0][0] > 0):
+                writer.add_metadata(fmt.RANGES, seal({"ranges": json.dumps(ranges)}))
+            writer.finish()  # type: ignore[no-untyped-call]
+            stream.flush()
+            os.fsync(stream.fileno())
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    temporary.rename(path)
+    sync_folder(path.parent)
+
+
+def _write(writer: Writer, blocks: Iterable[Rows], ranges: list[list[int]]) -> Iterator[Rows]:
+    """Write each block's steps and give it on; `ranges` is told which steps there were."""
+    for rows in blocks:
+        for row in rows:
+            step = int(row["step"])
+            if ranges and ranges[-1][1] == step:
+                ranges[-1][1] += 1
+            else:
+                ranges.append([step, step + 1])
+            writer.add_message(
+                channel_id=CHANNEL_ID,
+                log_time=int(row["log_time"]),
+                publish_time=int(row["publish_time"]),
+                sequence=step,
+                data=row.tobytes()[PAYLOAD_START:],
+            )
+        yield rows
+
+
+def begin(writer: Writer, header: LogHeader) -> None:
+    """What stands before the steps, in the unfinished and in the finished log."""
+    entries = seal(header.to_entries())
+    layout = RecordLayout(header.team, header.copies)
+    writer.start(fmt.PROFILE, f"otc_dist {otc_dist.__version__}, mcap-python {mcap.__version__}")
+    writer.add_metadata(fmt.HEADER, entries)
+    schema = writer.register_schema(fmt.SCHEMA, "jsonschema", layout.schema())
+    channel = writer.register_channel(fmt.TOPIC, "msgpack", schema, metadata=entries)
+    if channel != CHANNEL_ID:
+        raise RuntimeError(f"the channel's id is {channel}, not {CHANNEL_ID}")
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a rename in `folder` durable."""
+    file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)

@@ -1,0 +1,92 @@
+"""The command `python -m otc_dist.replay FILE...`: look at deployment logs, and use them."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from otc_dist.errors import run_main
+from otc_dist.replay.selection import step_range
+
+DESCRIPTION = """\
+Deployment logs (MCAP): what is in them, whether it is true, and what to make of it. Without an
+action, a summary of each FILE, finished or not.
+"""
+EXAMPLES = """\
+examples:
+  python -m otc_dist.replay runs/3agent_hopper-seed0/deployments/*.mcap
+  python -m otc_dist.replay deployment_01.mcap --steps 100:200 --agent agent_1
+"""
+
+
+@dataclass(frozen=True)
+class _Action:
+    """An action: its flag, the module here whose `run(arguments)` does it, and its help.
+
+    The module is imported only when the action is asked for. `metavar`: of the flag's value, if
+    it takes one.
+    """
+
+    flag: str
+    module: str
+    help: str
+    metavar: str | None = None
+    choices: Sequence[str] | None = None
+
+    def add_to(self, group: "argparse._MutuallyExclusiveGroup") -> None:
+        if self.metavar is None:
+            group.add_argument(self.flag, action="store_true", help=self.help)
+        else:
+            group.add_argument(
+                self.flag, metavar=self.metavar, choices=self.choices, help=self.help
+            )
+
+    @property
+    def name(self) -> str:
+        return self.flag.removeprefix("--").replace("-", "_")
+
+
+_ACTIONS: tuple[_Action, ...] = ()
+
+
+def main(argv: list[str]) -> int:
+    """Run one action; its exit status. Raises UserError for what the user can mend."""
+    arguments = _parser().parse_args(argv)
+    chosen = (action.module for action in _ACTIONS if getattr(arguments, action.name))
+    module = import_module(f"otc_dist.replay.{next(chosen, 'summary')}")
+    status: int = module.run(arguments)
+    return status
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m otc_dist.replay",
+        description=DESCRIPTION,
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "files", nargs="+", type=Path, metavar="FILE", help="a deployment log (.mcap, .partial)"
+    )
+    actions = parser.add_mutually_exclusive_group()
+    for action in _ACTIONS:
+        action.add_to(actions)
+
+    part = parser.add_argument_group("which part of the logs (the rest is not read)")
+    part.add_argument(
+        "--steps", type=step_range, metavar="A:B", help="steps A to B - 1, as 100:200 or 100:"
+    )
+    part.add_argument("--episode", type=int, metavar="N", help="one episode, counted from 0")
+    part.add_argument(
+        "--agent", action="append", metavar="NAME", help="one agent; may be given again"
+    )
+
+    output = parser.add_argument_group("what is written")
+    output.add_argument("--out", type=Path, metavar="PATH", help="where to")
+    output.add_argument("--force", action="store_true", help="replace what is there")
+    return parser
+
+
+if __name__ == "__main__":
+    run_main(main)
