@@ -1,8 +1,9 @@
 """Make a finished log of steps: chunked, compressed, indexed, with checksums over all of it."""
 
 import json
+import logging
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import mcap
@@ -11,34 +12,32 @@ from mcap.writer import CompressionType, Writer
 import otc_dist
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.episodes import find_episodes, to_json
-from otc_dist.deployment_log.format import seal
+from otc_dist.deployment_log.format import DamagedLogError, seal
+from otc_dist.deployment_log.foxglove import FoxgloveChannels
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.record import CHANNEL_ID, PAYLOAD_START, RecordLayout, Rows
+
+log = logging.getLogger(__name__)
 
 
 def write_finished(
     path: Path,
     header: LogHeader,
-    blocks: Iterable[Rows],
+    blocks: Callable[[], Iterable[Rows]],
     policies: Mapping[str, str],
-    *,
-    replace: bool = False,
 ) -> None:
     """Write a finished log under its name only when it is whole.
 
     The steps' payloads stay the same to the byte. Added are `policies` (agent -> digest of the
-    policy that acted), the table of episodes and, where steps are missing, which there are.
+    policy that acted), the table of episodes, what Foxglove shows and, where steps are missing,
+    which there are.
 
     Args:
-        blocks: all steps, in order.
-        replace: whether a log at `path` may be replaced.
+        blocks: gives all steps, in order, as often as it is called.
 
     Raises:
-        FileExistsError: there is one, and it may not.
         OSError: the disk is full, ...: nothing is left behind.
     """
-    if path.exists() and not replace:
-        raise FileExistsError(f"{path} exists")
     temporary = path.with_name(path.name + ".new")
     try:
         with temporary.open("wb") as stream:
@@ -50,8 +49,9 @@ def write_finished(
             )
             begin(writer, header)
             ranges: list[list[int]] = []
-            written = _write(writer, blocks, ranges)
+            written = _write(writer, blocks(), ranges)
             episodes = find_episodes(written, len(header.team.agents))
+            _add_pictures(writer, header, blocks(), path)
             writer.add_metadata(fmt.POLICIES, seal(policies))
             writer.add_metadata(fmt.EPISODES, seal({"episodes": to_json(episodes)}))
             if len(ranges) > 1 or (ranges and ranges[0][0] > 0):
@@ -83,6 +83,23 @@ def _write(writer: Writer, blocks: Iterable[Rows], ranges: list[list[int]]) -> I
                 data=row.tobytes()[PAYLOAD_START:],
             )
         yield rows
+
+
+def _add_pictures(writer: Writer, header: LogHeader, blocks: Iterable[Rows], path: Path) -> None:
+    """What Foxglove shows, behind the steps.
+
+    A deployment cannot be repeated: whatever goes wrong with its picture, its log is finished.
+    """
+    # The steps' last chunk ends here.
+    writer.flush()  # type: ignore[no-untyped-call]
+    try:
+        channels = FoxgloveChannels(writer, header)
+        for rows in blocks:
+            channels.write(rows)
+    except (OSError, DamagedLogError):
+        raise
+    except Exception:
+        log.exception("%s will not show all that it could in Foxglove", path)
 
 
 def begin(writer: Writer, header: LogHeader) -> None:

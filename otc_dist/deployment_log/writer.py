@@ -143,7 +143,7 @@ class LogWriter:
         self.close()
         partial = partial_path(self.path)
         with OpenLog(partial) as log:
-            write_finished(self.path, self.header, log.blocks(), policies)
+            write_finished(self.path, self.header, log.blocks, policies)
         partial.unlink()
         return self.path
 

@@ -177,7 +177,7 @@ def test_resume_then_finish_equals_the_uninterrupted_log(
     def contents(path: Path) -> list[tuple[int, bytes]]:
         with path.open("rb") as stream:
             reader = make_reader(stream, validate_crcs=True)
-            return [(m.sequence, m.data) for _, _, m in reader.iter_messages()]
+            return [(m.sequence, m.data) for _, _, m in reader.iter_messages("joint_step")]
 
     whole = small.finish(tmp_path / "whole.mcap")
     broken = tmp_path / "broken.mcap"

@@ -139,7 +139,7 @@ def test_payloads_do_not_depend_on_when_they_were_written(tmp_path: Path, small)
         with path.open("rb") as stream:
             return [
                 (message.sequence, message.data)
-                for _, _, message in make_reader(stream).iter_messages()
+                for _, _, message in make_reader(stream).iter_messages("joint_step")
             ]
 
     first = payloads(small.finish(tmp_path / "a" / "log.mcap"))
@@ -157,7 +157,8 @@ def test_the_order_of_times_is_the_order_of_steps(
     monkeypatch.setattr("otc_dist.deployment_log.writer.time.time_ns", lambda: next(times))
     path = small.finish(tmp_path / "log.mcap")
     with path.open("rb") as stream:
-        found = [(m.log_time, m.sequence) for _, _, m in make_reader(stream).iter_messages()]
+        messages = make_reader(stream).iter_messages("joint_step")
+        found = [(message.log_time, message.sequence) for _, _, message in messages]
     assert [sequence for _, sequence in found] == list(range(12))
     assert all(a < b for (a, _), (b, _) in pairwise(found))
 

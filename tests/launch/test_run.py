@@ -30,7 +30,7 @@ def outcome(folder: RunFolder) -> dict[str, object]:
         with folder.deployment(k).open("rb") as file:
             found[f"deployment {k}"] = [
                 (channel.topic, message.sequence, message.data)
-                for _, channel, message in make_reader(file).iter_messages()
+                for _, channel, message in make_reader(file).iter_messages("joint_step")
             ]
     for k in range(3):
         found[f"evaluation {k}"] = json.loads(folder.evaluation(k).read_text())["returns"]

@@ -1,0 +1,104 @@
+"""What a scene is: flat bodies of capsules that move in a plane.
+
+All our tasks are flat. A robot moves in its sagittal plane (u forward, v up), particles and units
+of a skirmish in theirs, seen from above. So a body is some capsules that are fixed to each other,
+its pose is (u, v, angle), and a disc is a capsule without length.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from otc_dist.transitions import Float64
+
+Point = tuple[float, float]  # u, v
+Colour = tuple[int, int, int]  # red, green, blue: 0 to 255
+
+# By agent; from the seventh on they begin again.
+AGENT_COLOURS: tuple[Colour, ...] = (
+    (37, 99, 201),
+    (200, 80, 30),
+    (23, 130, 106),
+    (154, 63, 160),
+    (154, 114, 0),
+    (24, 138, 178),
+)
+NOBODYS: Colour = (125, 134, 146)  # what no agent moves
+GOAL: Colour = (47, 158, 68)
+FOE: Colour = (201, 42, 42)
+
+
+def agent_colour(agent: int) -> Colour:
+    """The colour that stands for agent number `agent` wherever it is shown."""
+    return AGENT_COLOURS[agent % len(AGENT_COLOURS)]
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All points within `radius` of the stretch from `start` to `end`, in its body's frame."""
+
+    start: Point
+    end: Point
+    radius: float
+
+
+@dataclass(frozen=True)
+class Body:
+    """Something that moves as one, or stands. Its name is unique in the scene."""
+
+    name: str
+    colour: Colour
+    capsules: tuple[Capsule, ...]
+    solid: bool = True  # False: a place that others may be in, drawn as its outline
+
+
+class Frames(NamedTuple):
+    """A scene at T moments, with B bodies."""
+
+    poses: Float64  # (T, B, 3): u, v and the angle, counterclockwise, rad
+    levels: Float64  # (T, B): 1 whole, 0 gone; between them what is left of its health
+
+
+@dataclass(frozen=True)
+class View:
+    """What a picture shows: `width` x `height` around `centre`, or moving with a body.
+
+    `outline` is drawn behind the bodies: the walls of an arena. Where the picture moves with a
+    body (`follows`, its number), there is the ground at v = 0 instead, and only u follows.
+    """
+
+    centre: Point
+    width: float
+    height: float
+    outline: tuple[Point, ...] = ()
+    follows: int | None = None
+
+
+class Scene(Protocol):
+    """What the copies of one environment look like."""
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """B bodies, in the order in which they are drawn."""
+        ...
+
+    @property
+    def view(self) -> View:
+        """Which part of the plane to show."""
+        ...
+
+    @property
+    def seconds(self) -> float:
+        """How long a step takes in the task's own time, or what is good to look at."""
+        ...
+
+    def frames(self, states: Float64) -> Frames:
+        """Where the bodies are in `states` (T, state_size), as `BatchedEnv.state` gives them.
+
+        What is not finite, where a simulator broke off, stays so.
+        """
+        ...
+
+
+def disc(radius: float) -> tuple[Capsule, ...]:
+    """A body that is a disc around its own origin."""
+    return (Capsule((0.0, 0.0), (0.0, 0.0), radius),)
