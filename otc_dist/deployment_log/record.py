@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from otc_dist.deployment_log.format import MAXIMUM_RECORD
 from otc_dist.errors import UserError
 from otc_dist.spec import TeamSpec
-from otc_dist.transitions import JointStep, Transitions
+from otc_dist.transitions import Bool, JointStep, Transitions
 
 CHANNEL_ID = 1
 MESSAGE_OPCODE = 5
@@ -193,6 +193,13 @@ class RecordLayout:
                 return count
         return len(view) // size
 
+    def step_of(self, record: bytes) -> int | None:
+        """The number of the step in one record; None if it is not whole and unchanged."""
+        if len(record) != self.size:
+            return None
+        step = int(_CHECKSUM.unpack_from(record, self._fields["step"][2])[0])
+        return step if self.intact(record, step) else None
+
     def rows(self, data: bytes | bytearray | memoryview) -> Rows:
         """Intact records as structured rows; a view of `data`."""
         return np.frombuffer(data, self.dtype)
@@ -202,7 +209,7 @@ class RecordLayout:
         column = {name: np.array(rows[name]) for name in self.dtype.names or ()}
         agents = range(len(self.team.agents))
         by_agent = [[column[f"{name}.{i}"] for i in agents] for name in _PER_AGENT]
-        exploring = (column["exploring"] != _FALSE).tolist()
+        exploring = self.exploring(rows).tolist()
         for t, step in enumerate(column["step"].tolist()):
             observations, actions, rewards, next_observations = (
                 tuple([array[t] for array in arrays]) for arrays in by_agent
@@ -219,6 +226,11 @@ class RecordLayout:
                 episode_seeds=column["episode_seeds"][t],
                 state=column["state"][t],
             )
+
+    def exploring(self, rows: Rows) -> Bool:
+        """Behaviour tags (T, N): which agents explored."""
+        tags: Bool = np.array(rows["exploring"]) != _FALSE
+        return tags
 
     def transitions(self, rows: Rows, agent: int) -> Transitions:
         """T rows as the T * E transitions of one agent: by step, then by copy. Fresh arrays."""

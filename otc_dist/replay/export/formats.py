@@ -1,0 +1,77 @@
+"""The formats of `--export`, and what each of them is to the command. A new one: one more line."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Protocol
+
+from otc_dist.errors import UserError
+from otc_dist.replay.export.trajectories import Trajectory
+from otc_dist.spec import TeamSpec
+
+EXTRA = "export"  # of pyproject.toml
+
+
+@dataclass(frozen=True)
+class View:
+    """Whose data set it is: one agent's, with nothing of the others, or the whole team's."""
+
+    team: TeamSpec
+    agent: int | None  # None: the team's
+    about: str  # where the data come from, as JSON
+
+    @property
+    def name(self) -> str:
+        """What the data set is called: "agent_0", ..., or "joint"."""
+        return "joint" if self.agent is None else self.team.agents[self.agent].name
+
+    @property
+    def agents(self) -> Sequence[int]:
+        """Whose columns it has."""
+        return range(len(self.team.agents)) if self.agent is None else (self.agent,)
+
+
+class Writer(Protocol):
+    """Writes one data set. What it takes of the memory does not grow with what it has written."""
+
+    def write(self, batch: Sequence[Trajectory]) -> None:
+        """Append trajectories. Raises OSError: the disk is full, ..."""
+        ...
+
+    def close(self) -> None:
+        """Write what comes last, and let go of all files. Raises OSError."""
+        ...
+
+
+@dataclass(frozen=True)
+class Format:
+    """`module` has `open_writer(folder, view)`; it and its libraries are imported when needed."""
+
+    module: str
+    needs: str  # the libraries
+    joint: bool  # whether it has room for the data of several agents
+
+    def opener(self) -> Callable[[Path, View], Writer]:
+        """What begins a data set of a view in a folder.
+
+        Raises:
+            UserError: a library that the format needs is not installed.
+        """
+        try:
+            module = import_module(f"{__package__}.{self.module}")
+        except ImportError:
+            raise UserError(
+                f"this export needs {self.needs}: pip install 'otc-dist[{EXTRA}]'"
+            ) from None
+        opener: Callable[[Path, View], Writer] = module.open_writer
+        return opener
+
+
+FORMATS: Mapping[str, Format] = {
+    "minari": Format("minari_sets", "minari and h5py", joint=True),
+    "d4rl": Format("d4rl_files", "h5py", joint=False),
+    "parquet": Format("parquet_files", "pyarrow", joint=True),
+    "lerobot": Format("lerobot_sets", "pyarrow", joint=True),
+    "csv": Format("csv_files", "pyarrow", joint=True),
+}
