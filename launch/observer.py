@@ -4,9 +4,10 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from otc_dist.bus.endpoints import Door, local_endpoint
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.messages import Status
-from otc_dist.bus.session import Session, local_endpoint
+from otc_dist.bus.session import Session
 from otc_dist.bus.status import StatusBoard
 from otc_dist.bus.wire import Rejections
 from otc_dist.errors import UserError
@@ -28,11 +29,11 @@ def observing(plan: Plan, run: str, take: Callable[[Status], None]) -> Iterator[
 
 
 def _listen(plan: Plan, run: str, take: Callable[[Status], None], over: threading.Event) -> None:
-    endpoint, maximum = local_endpoint(plan.folder.root), plan.description.bus.maximum_payload
+    door, maximum = Door(local_endpoint(plan.folder.root)), plan.description.bus.maximum_payload
     processes = tuple(process.name for process in plan.processes)
     while not over.is_set():
         try:
-            session = Session.connect(endpoint, maximum)
+            session = Session.connect(door, maximum)
         except UserError:
             continue  # nobody listens yet
         with session:

@@ -4,6 +4,7 @@ It is the centre of the bus's star. Its log is written ahead of what it publishe
 be killed at any moment: started again, it goes on where the log ends.
 """
 
+import argparse
 import json
 import logging
 import os
@@ -12,12 +13,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from otc_dist.bus.endpoints import remove_local_endpoint
 from otc_dist.bus.handshake import offer
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.lockstep import HostLockstep
 from otc_dist.bus.messages import Action, Moment, Observation, Phase, Status, StepOutcome
 from otc_dist.bus.replies import encode_history, history_rows
-from otc_dist.bus.session import Session, remove_local_endpoint
+from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
 from otc_dist.deployment_log.format import partial_path
@@ -30,7 +32,7 @@ from otc_dist.errors import UserError
 from otc_dist.transitions import Float32, JointStep
 
 from .host_state import HostState, write_atomically
-from .process import FailureError, Run, parser, serve
+from .process import FailureError, Run, door_at, parser, serve
 from .resimulation import resimulate
 
 log = logging.getLogger(__name__)
@@ -271,6 +273,21 @@ def _recording(path: Path, kept: str) -> Iterator[None]:
         ) from None
 
 
+def _open(run: Run, arguments: argparse.Namespace) -> Session:
+    """The centre of the bus, or a client of a router.
+
+    Whatever the learners use, the launcher beside this process looks on through the local door.
+    """
+    maximum, local = run.maximum_payload, run.local_door
+    if arguments.connect:
+        router = door_at(arguments.connect, HOST, arguments)
+        return Session.connect(router, maximum, run.description.bus.answer_deadline)
+    if not arguments.listen:
+        return Session.listen([local], maximum)
+    door = door_at(arguments.listen, HOST, arguments)
+    return Session.listen([door, local], maximum, run.access if door.identity else None)
+
+
 def main() -> None:
     """Entry point of `python -m otc_dist.services.env_host`."""
     command = parser(
@@ -285,19 +302,21 @@ def main() -> None:
     command.add_argument(
         "--listen",
         metavar="ENDPOINT",
-        help="Zenoh endpoint, like tcp/127.0.0.1:7447 (default: a private socket of this run)",
+        help="Zenoh endpoint, like tls/0.0.0.0:7447 (default: only a private socket of this run)",
+    )
+    command.add_argument(
+        "--connect", metavar="ENDPOINT", help="a Zenoh router's endpoint, instead of listening"
     )
     arguments = command.parse_args()
 
     def body() -> None:
         run = Run.open(arguments.run)
-        endpoint = arguments.listen or run.endpoint
-        session = Session.listen(endpoint, run.maximum_payload)
+        session = _open(run, arguments)
         try:
             EnvHost(run, session).serve()
         finally:
             session.close()
-            remove_local_endpoint(endpoint)
+            remove_local_endpoint(run.local_door.endpoint)
 
     serve(body)
 

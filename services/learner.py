@@ -21,7 +21,7 @@ from otc_dist.spec import AgentSpec
 
 from .gathering import Gathering
 from .metrics import MetricsFile
-from .process import Run, parser, serve
+from .process import Run, door_at, parser, serve
 
 if TYPE_CHECKING:
     from otc_dist.learner import Learner, Progress
@@ -225,7 +225,7 @@ def main() -> None:
     command.add_argument(
         "--connect",
         metavar="ENDPOINT",
-        help="the env host's Zenoh endpoint (default: the private socket of this run)",
+        help="the env host's Zenoh endpoint, or a router's (default: this run's private socket)",
     )
     arguments = command.parse_args()
 
@@ -234,9 +234,12 @@ def main() -> None:
         if arguments.agent not in run.team.names:
             raise unknown("agent", arguments.agent, run.team.names)
         agent = run.team.agents[run.team.index(arguments.agent)]
-        endpoint = arguments.connect or run.endpoint
-        with Session.connect(endpoint, run.maximum_payload) as session:
-            agree(session, run.keys, run.spec, run.description.bus.answer_deadline)
+        door = run.local_door
+        if arguments.connect:
+            door = door_at(arguments.connect, agent.name, arguments)
+        deadline = run.description.bus.answer_deadline
+        with Session.connect(door, run.maximum_payload, deadline) as session:
+            agree(session, run.keys, run.spec, deadline)
             service = LearnerService(run, agent, session)
             with service.heartbeat:
                 service.serve()

@@ -13,17 +13,21 @@ from pathlib import Path
 from types import FrameType
 from typing import Self
 
-from otc_dist.bus.keys import Keys
+from otc_dist.bus.access import access_control
+from otc_dist.bus.endpoints import Door, door, local_endpoint
+from otc_dist.bus.keys import OBSERVER, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.replies import RunSpec, history_rows
-from otc_dist.bus.session import CLOSING, local_endpoint
+from otc_dist.bus.session import CLOSING
 from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
 from otc_dist.errors import UserError
 from otc_dist.exploration import Schedule
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
+
+log = logging.getLogger(__name__)
 
 
 class FailureError(Exception):
@@ -96,9 +100,17 @@ class Run:
         return min(limit, QUICK_PAYLOAD) if short else limit
 
     @property
-    def endpoint(self) -> str:
+    def local_door(self) -> Door:
         """Where the bus is on one machine."""
-        return local_endpoint(self.folder.root)
+        return Door(local_endpoint(self.folder.root))
+
+    @property
+    def access(self) -> dict[str, object]:
+        """What learners and observers may do where the env host is the centre of the bus."""
+        agents = self.team.names
+        observer = self.keys.observer_uses(agents)
+        by_name = {agent: self.keys.learner_uses(agent) for agent in agents}
+        return access_control({**by_name, OBSERVER: observer}, local=observer)
 
 
 def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParser:
@@ -112,7 +124,24 @@ def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParse
     made.add_argument(
         "--run", type=Path, required=True, metavar="DIR", help="the run folder (the launcher's)"
     )
+    made.add_argument(
+        "--certs", type=Path, metavar="DIR", help="certificates, for tls/ (see otc_dist.certs)"
+    )
+    made.add_argument(
+        "--insecure", action="store_true", help="permit endpoints that anybody may use"
+    )
     return made
+
+
+def door_at(endpoint: str, process: str, arguments: argparse.Namespace) -> Door:
+    """The door of `process` at an endpoint that the command line names; UserError as `door`."""
+    opened = door(endpoint, process, arguments.certs, arguments.insecure)
+    if arguments.insecure:
+        log.warning(
+            "WARNING: --insecure: whoever reaches %s can read this run, act in it and end it",
+            endpoint,
+        )
+    return opened
 
 
 def serve(body: Callable[[], None]) -> None:

@@ -10,9 +10,28 @@ otc/{run}/alive/{process}        liveliness tokens
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 HOST = "host"  # the env host's process name; the learners' are their agents' names
+OBSERVER = "observer"  # whoever only looks: the launcher
+
+
+@dataclass(frozen=True)
+class Uses:
+    """What a process does on the bus: on which keys it does what. It does nothing else."""
+
+    publishes: tuple[str, ...] = ()
+    hears: tuple[str, ...] = ()
+    asks: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
+    shows: tuple[str, ...] = ()  # liveliness tokens of its own
+    watches: tuple[str, ...] = ()  # liveliness tokens of others
+
+    @property
+    def keys(self) -> frozenset[str]:
+        """All of them."""
+        return frozenset(key for keys in vars(self).values() for key in keys)
 
 
 @dataclass(frozen=True)
@@ -45,15 +64,29 @@ class Keys:
     def alive(self, process: str) -> str:
         return f"{self._root}/alive/{process}"
 
-    def of_learner(self, agent: str) -> tuple[str, ...]:
-        """All keys that the learner of `agent` declares or queries, and no others."""
-        return (
-            self.observation(agent),
-            self.action(agent),
-            self.status(agent),
-            self.history(agent),
-            self.alive(agent),
-            self.spec,
-            self.status(HOST),
-            self.alive(HOST),
+    def learner_uses(self, agent: str) -> Uses:
+        """What the learner of `agent` does, and its launcher, who hears its status."""
+        return Uses(
+            publishes=(self.action(agent), self.status(agent)),
+            hears=(self.observation(agent), self.status(agent), self.status(HOST)),
+            asks=(self.spec, self.history(agent)),
+            shows=(self.alive(agent),),
+            watches=(self.alive(agent), self.alive(HOST)),
+        )
+
+    def host_uses(self, agents: Sequence[str]) -> Uses:
+        """What the env host does."""
+        return Uses(
+            publishes=(*map(self.observation, agents), self.status(HOST)),
+            hears=(*map(self.action, agents), *map(self.status, agents)),
+            answers=(*map(self.history, agents), self.spec),
+            shows=(self.alive(HOST),),
+            watches=tuple(map(self.alive, agents)),
+        )
+
+    def observer_uses(self, agents: Sequence[str]) -> Uses:
+        """What a launcher may do that looks at all processes."""
+        processes = (HOST, *agents)
+        return Uses(
+            hears=tuple(map(self.status, processes)), watches=tuple(map(self.alive, processes))
         )

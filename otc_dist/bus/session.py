@@ -4,18 +4,14 @@ The env host's session is the router of a star; learners and the launcher are it
 is discovered: multicast and gossip are off. Delivery is not relied on (see `lockstep`).
 """
 
-import hashlib
-import os
-import shutil
-import stat
-import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
+from otc_dist.bus.diagnosis import refusal
+from otc_dist.bus.endpoints import Door
 from otc_dist.bus.links import configuration, zenoh
 from otc_dist.errors import UserError
 
@@ -26,41 +22,7 @@ Query = Callable[[Mapping[str, str]], bytes]
 CLOSING = "closing"  # name of the thread in which a session closes
 _INBOX_SIZE = 256  # messages
 _WAKE_PERIOD = 0.05  # seconds
-_LONGEST_SOCKET_PATH = 107  # bytes, of AF_UNIX, with room for Zenoh's suffix below
-_SCHEME = "unixsock-stream/"
-
-
-def local_endpoint(run: Path) -> str:
-    """The endpoint of a run on one machine: a socket in a folder that only its user can enter.
-
-    The folder lies under $XDG_RUNTIME_DIR or the temporary directory, since a socket's path must
-    be short, and is named after a hash of the run folder's path. It is made if absent.
-
-    Raises:
-        UserError: the folder is somebody else's, or the path is too long.
-    """
-    digest = hashlib.sha256(str(run.resolve()).encode()).hexdigest()[:12]
-    base = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
-    folder = base / f"otc-{os.getuid()}-{digest}"
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        status = folder.lstat()
-    except OSError as error:
-        raise UserError(f"cannot make the bus's folder {folder}: {error.strerror}") from None
-    private = stat.S_ISDIR(status.st_mode) and stat.S_IMODE(status.st_mode) == 0o700
-    if not private or status.st_uid != os.getuid():
-        raise UserError(f"{folder} must be a folder of yours with mode 0700; remove it, or mend it")
-    socket = folder / "bus"
-    if len(os.fsencode(socket)) > _LONGEST_SOCKET_PATH - len(".lock"):
-        raise UserError(f"the socket path {socket} is too long; set a shorter TMPDIR")
-    return f"{_SCHEME}{socket}"
-
-
-def remove_local_endpoint(endpoint: str) -> None:
-    """Remove what `local_endpoint` made, once nobody listens; other endpoints are left alone."""
-    folder = Path(endpoint.removeprefix(_SCHEME)).parent
-    if endpoint.startswith(_SCHEME) and folder.name.startswith(f"otc-{os.getuid()}-"):
-        shutil.rmtree(folder, ignore_errors=True)
+_ATTEMPT = 2.0  # seconds until it is asked why a link does not come about
 
 
 class Inbox:
@@ -114,45 +76,64 @@ class Session:
         self._waker = threading.Thread(target=self._wake_inboxes, name="wake", daemon=True)
 
     @classmethod
-    def listen(cls, endpoint: str, maximum_payload: int) -> Self:
+    def listen(
+        cls, doors: Sequence[Door], maximum_payload: int, access: Mapping[str, object] | None = None
+    ) -> Self:
         """Open the star's centre. Its links are quick if no message is long: see `links`.
 
+        Args:
+            access: who may do what there (see `access`); None: all who can enter, everything.
+
         Raises:
-            UserError: the endpoint is in use or cannot be listened on.
+            UserError: an endpoint is in use or cannot be listened on.
         """
-        settings = {"listen/endpoints": [endpoint]}
+        endpoints = [door.endpoint for door in doors]
+        settings: dict[str, object] = {"listen/endpoints": endpoints}
+        for door in doors:
+            settings |= door.settings
+        if access is not None:
+            settings["access_control"] = access
         try:
             return cls(zenoh.open(configuration("router", maximum_payload, settings)))
         except zenoh.ZError as error:
             raise UserError(
-                f"cannot listen on {endpoint}: it is in use, not permitted or no endpoint"
-                f" ({_first_line(error)})"
+                f"cannot listen on {' or '.join(endpoints)}: it is in use, not permitted or no"
+                f" endpoint ({_first_line(error)})"
             ) from None
 
     @classmethod
-    def connect(cls, endpoint: str, maximum_payload: int, timeout: float = 30.0) -> Self:
+    def connect(cls, door: Door, maximum_payload: int, timeout: float = 30.0) -> Self:
         """Open a session of a learner or an observer; it reconnects by itself when cut off.
 
         Raises:
-            UserError: nobody listens within `timeout` seconds.
+            UserError: nobody listens within `timeout` seconds; or, within a few seconds, who
+                listens is refused or refuses.
         """
-        settings: dict[str, object] = {
-            "connect/endpoints": [endpoint],
-            "connect/timeout_ms": int(timeout * 1000),
-            "connect/exit_on_failure": True,
-            "connect/retry": {
-                "period_init_ms": 50,
-                "period_max_ms": 500,
-                "period_increase_factor": 2,
-            },
-        }
-        try:
-            return cls(zenoh.open(configuration("client", maximum_payload, settings)))
-        except zenoh.ZError as error:
-            raise UserError(
-                f"nobody listens on {endpoint} after {timeout:.0f} s: does the env host run?"
-                f" ({_first_line(error)})"
-            ) from None
+        end = time.monotonic() + timeout
+        while True:
+            left = end - time.monotonic()
+            settings: dict[str, object] = {
+                "connect/endpoints": [door.endpoint],
+                "connect/timeout_ms": int(1000 * max(0.0, min(left, _ATTEMPT))),
+                "connect/exit_on_failure": True,
+                "connect/retry": {
+                    "period_init_ms": 50,
+                    "period_max_ms": 500,
+                    "period_increase_factor": 2,
+                },
+                **door.settings,
+            }
+            try:
+                return cls(zenoh.open(configuration("client", maximum_payload, settings)))
+            except zenoh.ZError as error:
+                if reason := refusal(door):
+                    raise UserError(reason) from None
+                if left > _ATTEMPT:
+                    continue
+                raise UserError(
+                    f"nobody listens on {door.endpoint} after {timeout:.0f} s: does the env host"
+                    f" run? ({_first_line(error)})"
+                ) from None
 
     def publisher(self, key: str) -> Put:
         """A function that publishes bytes on `key`; what the transport cannot take is dropped."""
@@ -233,6 +214,11 @@ class Session:
 
         direct = zenoh.handlers.Callback(on_sample, indirect=False)
         self._keep(self._session.liveliness().declare_subscriber(key, direct, history=True))
+
+    @property
+    def linked(self) -> bool:
+        """Whether this client has a link to the star's centre now."""
+        return bool(self._session.info.routers_zid())
 
     def _keep(self, declared: Any) -> Any:
         self._declared.append(declared)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.bus.session import local_endpoint, remove_local_endpoint
+from otc_dist.bus.endpoints import local_endpoint, remove_local_endpoint
 
 
 @pytest.fixture

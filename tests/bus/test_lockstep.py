@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from otc_dist.bus.codec import AgentCodec
-from otc_dist.bus.keys import HOST, Keys
+from otc_dist.bus.endpoints import Door
+from otc_dist.bus.keys import Keys
 from otc_dist.bus.lockstep import GaveUpError, HostLockstep, LearnerLockstep
 from otc_dist.bus.messages import Action, Moment, Observation, Status
 from otc_dist.bus.session import Session
@@ -42,7 +43,7 @@ class Learners:
         self.log: list[list[Moment]] = [[] for _ in AGENTS]
         self.rejections = [Rejections() for _ in AGENTS]
         self._over = threading.Event()
-        self._sessions = [Session.connect(endpoint, 4096, PATIENCE) for _ in AGENTS]
+        self._sessions = [Session.connect(Door(endpoint), 4096, PATIENCE) for _ in AGENTS]
         self._threads = []
         for index, (session, agent) in enumerate(zip(self._sessions, AGENTS, strict=True)):
             side = LearnerLockstep(session, KEYS, agent, COPIES, self.rejections[index])
@@ -77,7 +78,7 @@ def _bus(
     deadline: float = PATIENCE,
 ) -> Iterator[tuple[HostLockstep, Learners, Session, Rejections]]:
     rejections = Rejections()
-    with Session.listen(endpoint, 4096) as session:
+    with Session.listen([Door(endpoint)], 4096) as session:
         host = HostLockstep(session, KEYS, AGENTS, COPIES, deadline, rejections)
         learners = Learners(endpoint, answer)
         try:
@@ -212,6 +213,6 @@ def test_a_flood_of_garbage_neither_fills_memory_nor_stops_the_run(endpoint: str
 
 def test_keys_name_the_run_and_nothing_that_zenoh_would_interpret() -> None:
     keys = Keys("a run/with*odd$characters?")
-    for key in (*keys.of_learner("agent_0"), keys.alive(HOST)):
+    for key in keys.learner_uses("agent_0").keys | keys.host_uses(["agent_0"]).keys:
         assert not set(key) & set("*$?# ")
         assert key.startswith("otc/a_run_with_odd_characters_/")

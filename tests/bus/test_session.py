@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
 from otc_dist.bus.links import QUICK_PAYLOAD
-from otc_dist.bus.session import Session, local_endpoint, remove_local_endpoint
+from otc_dist.bus.session import Session
 from otc_dist.errors import UserError
 
 PATIENCE = 20.0  # seconds; only a test that fails waits as long
@@ -58,32 +59,35 @@ def test_a_used_port_is_one_clear_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(UserError, match="in use") as error:
-            Session.listen(endpoint, 1024)
+            Session.listen([Door(endpoint)], 1024)
     assert "\n" not in str(error.value)
 
 
 def test_a_second_host_of_the_same_run_is_refused(endpoint: str) -> None:
-    with Session.listen(endpoint, 1024), pytest.raises(UserError, match="in use"):
-        Session.listen(endpoint, 1024)
+    with Session.listen([Door(endpoint)], 1024), pytest.raises(UserError, match="in use"):
+        Session.listen([Door(endpoint)], 1024)
 
 
 def test_a_killed_host_leaves_nothing_that_stops_the_next(endpoint: str) -> None:
     path = Path(endpoint.removeprefix("unixsock-stream/"))
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(path))
-    with Session.listen(endpoint, 1024):
-        Session.connect(endpoint, 1024, timeout=PATIENCE).close()
+    with Session.listen([Door(endpoint)], 1024):
+        Session.connect(Door(endpoint), 1024, timeout=PATIENCE).close()
 
 
 def test_nobody_listening_is_one_clear_line(endpoint: str) -> None:
     with pytest.raises(UserError, match="nobody listens") as error:
-        Session.connect(endpoint, 1024, timeout=0.2)
+        Session.connect(Door(endpoint), 1024, timeout=0.2)
     assert "\n" not in str(error.value)
 
 
 def test_payloads_beyond_the_cap_do_not_arrive(endpoint: str) -> None:
     received: queue.Queue[int] = queue.Queue()
-    with Session.listen(endpoint, 2048) as host, Session.connect(endpoint, 2048) as client:
+    with (
+        Session.listen([Door(endpoint)], 2048) as host,
+        Session.connect(Door(endpoint), 2048) as client,
+    ):
         host.subscribe("a/key", lambda payload: received.put(len(payload)))
         # The client learns of the subscription through its connection; a query is behind it.
         host.answer("b/key", lambda _: b"")
@@ -101,7 +105,10 @@ def test_queries_carry_parameters_and_refusals(endpoint: str) -> None:
             raise LookupError("no such thing")
         return repr(parameters).encode()
 
-    with Session.listen(endpoint, 2048) as host, Session.connect(endpoint, 2048) as client:
+    with (
+        Session.listen([Door(endpoint)], 2048) as host,
+        Session.connect(Door(endpoint), 2048) as client,
+    ):
         host.answer("a/key", reply)
         answer = None
         while answer is None:
@@ -113,9 +120,9 @@ def test_queries_carry_parameters_and_refusals(endpoint: str) -> None:
 
 def test_liveliness_is_seen_to_come_and_to_go(endpoint: str) -> None:
     seen: queue.Queue[bool] = queue.Queue()
-    with Session.listen(endpoint, 2048) as host:
+    with Session.listen([Door(endpoint)], 2048) as host:
         host.watch_alive("alive/x", seen.put)
-        client = Session.connect(endpoint, 2048)
+        client = Session.connect(Door(endpoint), 2048)
         client.declare_alive("alive/x")
         assert seen.get(timeout=PATIENCE) is True
         client.close()
@@ -123,7 +130,7 @@ def test_liveliness_is_seen_to_come_and_to_go(endpoint: str) -> None:
 
 
 def _freeze(endpoint: str) -> None:
-    with Session.connect(endpoint, QUICK_PAYLOAD) as session:
+    with Session.connect(Door(endpoint), QUICK_PAYLOAD) as session:
         session.inbox("t/question")
         session.declare_alive("t/alive")
         os.kill(os.getpid(), signal.SIGSTOP)
@@ -131,7 +138,7 @@ def _freeze(endpoint: str) -> None:
 
 def test_a_frozen_process_never_holds_up_who_asks_it_again(endpoint: str) -> None:
     present, gone = threading.Event(), threading.Event()
-    with Session.listen(endpoint, QUICK_PAYLOAD) as session:
+    with Session.listen([Door(endpoint)], QUICK_PAYLOAD) as session:
         session.watch_alive("t/alive", lambda alive: (present if alive else gone).set())
         put = session.publisher("t/question")
         frozen = multiprocessing.get_context("spawn").Process(target=_freeze, args=(endpoint,))
@@ -154,7 +161,10 @@ def test_a_frozen_process_never_holds_up_who_asks_it_again(endpoint: str) -> Non
 def test_quick_and_ordinary_sessions_understand_each_other(
     endpoint: str, host: int, client: int
 ) -> None:
-    with Session.listen(endpoint, host) as one, Session.connect(endpoint, client) as other:
+    with (
+        Session.listen([Door(endpoint)], host) as one,
+        Session.connect(Door(endpoint), client) as other,
+    ):
         page = b"x" * QUICK_PAYLOAD
         one.answer("t/page", lambda _: page)
         while (answer := other.ask("t/page", {}, PATIENCE)) is None:

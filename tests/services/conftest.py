@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from otc_dist.bus.session import local_endpoint, remove_local_endpoint
+from otc_dist.bus.endpoints import local_endpoint, remove_local_endpoint
 from otc_dist.datasets import store
 from otc_dist.deployment_log.reader import read_steps
 from otc_dist.description import Description

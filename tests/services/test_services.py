@@ -73,7 +73,7 @@ def test_no_learner_opens_another_agents_files_or_the_logs(finished: Services, a
 
 @pytest.mark.parametrize("agent", AGENTS)
 def test_no_learner_declares_another_agents_keys(finished: Services, agent: str) -> None:
-    assert set(finished.record(agent)["keys"]) <= set(Keys("tiny-run").of_learner(agent))
+    assert set(finished.record(agent)["keys"]) <= set(Keys("tiny-run").learner_uses(agent).keys)
 
 
 def test_the_env_host_opens_no_agents_data_and_runs_without_torch(finished: Services) -> None:
@@ -173,7 +173,7 @@ def test_mistakes_are_one_line_and_status_2(run: Services, tmp_path: Path) -> No
     cases = [
         (("env_host", "--run", str(tmp_path / "none")), "cannot read the description"),
         (("learner", "--run", root, "--agent", "agent_9"), "unknown agent 'agent_9'; did you mean"),
-        (("env_host", "--run", root, "--listen", "nonsense"), "cannot listen on nonsense"),
+        (("env_host", "--run", root, "--listen", "nonsense"), "'nonsense' is no endpoint"),
     ]
     for arguments, message in cases:
         ended = _service(*arguments)

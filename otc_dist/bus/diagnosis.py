@@ -1,0 +1,97 @@
+"""Why a link does not come about: Zenoh only says that it does not."""
+
+import socket
+import ssl
+
+from otc_dist.bus.endpoints import Door
+from otc_dist.bus.identity import Identity
+
+_PATIENCE = 1.0  # seconds for each step
+_TLS_ALERT = b"\x15"
+# Alerts of a server that does not want our certificate, in OpenSSL's words.
+_ALERTS = {
+    "CERTIFICATE_REQUIRED": "demands a certificate, and got none",
+    "HANDSHAKE_FAILURE": "demands a certificate, and got none",
+    "UNKNOWN_CA": "trusts another authority than the one that issued our certificate",
+    "DECRYPT_ERROR": "trusts another authority than the one that issued our certificate",
+    "CERTIFICATE_EXPIRED": "says that our certificate has expired",
+    "CERTIFICATE_UNKNOWN": "does not accept our certificate",
+    "BAD_CERTIFICATE": "does not accept our certificate",
+    "UNSUPPORTED_CERTIFICATE": "does not accept our certificate as that of a learner",
+}
+
+
+def refusal(door: Door) -> str | None:
+    """One line on why `door` stays shut; None if nobody listens there, or nothing is wrong.
+
+    It opens a connection of its own, and looks at how that ends.
+    """
+    protocol, _, place = door.endpoint.partition("/")
+    host, _, port = place.rpartition(":")
+    if protocol not in ("tls", "tcp") or not port.isdecimal():
+        return None
+    address = (host.strip("[]"), int(port))
+    try:
+        return _of_tls(door, address) if protocol == "tls" else _of_plain(door, address)
+    except OSError:  # nobody there, or nobody who answers
+        return None
+
+
+def _of_tls(door: Door, address: tuple[str, int]) -> str | None:
+    where = door.endpoint
+    try:
+        with (
+            socket.create_connection(address, _PATIENCE) as connection,
+            _context(door.identity).wrap_socket(connection, server_hostname=address[0]) as tls,
+        ):
+            tls.recv(1)  # a server looks at our certificate after we have looked at its
+            return None
+    except TimeoutError:
+        return _not_tls(where) if _answers_without_tls(address) else None
+    except ssl.SSLCertVerificationError as error:
+        # OpenSSL's words: "certificate has expired", "self-signed certificate in certificate chain"
+        return (
+            f"the certificate of {where} is refused: {error.verify_message.strip().rstrip('.')};"
+            " do both sides hold certificates of the same python -m otc_dist.certs?"
+        )
+    except (ssl.SSLEOFError, ConnectionResetError):
+        return _not_tls(where)
+    except ssl.SSLError as error:
+        for alert, meaning in _ALERTS.items():
+            if alert in (error.reason or ""):
+                return f"{where} {meaning}: is --certs the right folder?"
+        if "WRONG_VERSION" in (error.reason or ""):
+            return _not_tls(where)
+        return f"{where} refuses TLS: {error.reason}"
+
+
+def _not_tls(where: str) -> str:
+    return f"{where} does not speak TLS: does it run with --insecure?"
+
+
+def _answers_without_tls(address: tuple[str, int]) -> bool:
+    """Whether Zenoh without TLS listens: for the rest of a TLS greeting it would wait for ever."""
+    with socket.create_connection(address, _PATIENCE) as connection:
+        connection.sendall(b"\x01\x00\x00")  # a message of one byte, which is none
+        return connection.recv(1) not in (b"", _TLS_ALERT)
+
+
+def _of_plain(door: Door, address: tuple[str, int]) -> str | None:
+    """Whether a server that was asked without TLS speaks TLS."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    try:
+        with socket.create_connection(address, _PATIENCE) as connection:
+            context.wrap_socket(connection).close()
+    except ssl.SSLError as error:
+        if "ALERT" not in (error.reason or ""):
+            return None
+    place = door.endpoint.partition("/")[2]
+    return f"{door.endpoint} speaks TLS: use tls/{place} with --certs DIR"
+
+
+def _context(identity: Identity | None) -> ssl.SSLContext:
+    context = ssl.create_default_context(cafile=identity.authority if identity else None)
+    if identity is not None:
+        context.load_cert_chain(identity.certificate, identity.key)
+    return context
