@@ -5,7 +5,12 @@ import importlib
 from otc_dist.errors import run_main
 
 # Command -> the module beside this one whose `main(argv)` it is; imported only when asked for.
-COMMANDS = {"run": ".run_command", "compare": ".compare", "mechanism": ".mechanism"}
+COMMANDS = {
+    "run": ".run_command",
+    "compare": ".compare",
+    "mechanism": ".mechanism",
+    "status": ".status",
+}
 
 
 def main(argv: list[str]) -> int:

@@ -1,11 +1,13 @@
 """What the launcher knows of a run from the processes' status messages: no drawing here."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
 
 from .forecast import Remaining
+from .health import Life
 
 
 @dataclass
@@ -14,6 +16,7 @@ class Board:
 
     agents: tuple[str, ...]
     remaining: Remaining
+    lives: Mapping[str, Life] = field(default_factory=dict)  # of the processes started here
     newest: dict[str, Status] = field(default_factory=dict)
     measures: dict[str, dict[str, float]] = field(default_factory=dict)  # agent -> last of each
     events: list[str] = field(default_factory=list)

@@ -14,13 +14,15 @@ from otc_dist.datasets.card import FILE_NAME as CARD
 from . import descriptions
 from .board import Board
 from .closing import closing_lines
+from .crew import Crew, DiedError
 from .forecast import Remaining
-from .observer import observing
+from .observer import Sign, observing
 from .plan import Plan
 from .run_record import RunRecord
 from .signals import Signals
 from .supervisor import End, Supervisor
 from .view import View, open_view
+from .vital_signs import VitalSigns
 
 REFRESH = 0.5  # seconds between two looks at the statuses
 FAREWELL = 30.0  # seconds that the learners may take to end after the host has
@@ -28,14 +30,6 @@ FAREWELL = 30.0  # seconds that the learners may take to end after the host has
 
 class _StoppedError(Exception):
     """The user, or the system, asked the launcher to stop."""
-
-
-class _DiedError(Exception):
-    """A process ended that should not have."""
-
-    def __init__(self, end: End) -> None:
-        super().__init__(end.process)
-        self.end = end
 
 
 def conduct(plan: Plan, record: RunRecord) -> int:
@@ -54,20 +48,24 @@ def conduct(plan: Plan, record: RunRecord) -> int:
         try:
             with Supervisor(signals) as supervisor:
                 _complete(plan, plan.preparations, supervisor, signals)
-                shutil.copyfile(plan.data_folder / CARD, plan.folder.dataset_card)
+                if plan.data_folder is not None:
+                    shutil.copyfile(plan.data_folder / CARD, plan.folder.dataset_card)
                 with open_view(title) as view:
                     _run(plan, record, supervisor, signals, view)
                 record.moved_to("finished", plan.folder)
                 _complete(plan, plan.conclusions, supervisor, signals)
-            print("\n".join(closing_lines(plan.folder)))
+            if plan.conclusions:
+                print("\n".join(closing_lines(plan.folder)))
+            else:
+                print(f"{title}: finished; the env host has the results")
         except _StoppedError:
             assert signals.stop is not None
             record.moved_to("stopped", plan.folder)
             print(f"stopped by {signals.stop.name}; {go_on}")
             return 128 + signals.stop
-        except _DiedError as died:
+        except DiedError as died:
             record.moved_to("failed", plan.folder)
-            _explain(died.end)
+            _explain(died.end, died.restarts)
             print(go_on)
             return 2 if died.end.status == 2 else 1
     return 0
@@ -85,43 +83,54 @@ def _complete(
             signals.wait(REFRESH)
             for end in supervisor.ended():
                 if end.status != 0:
-                    raise _DiedError(end)
+                    raise DiedError(end)
 
 
 def _run(
     plan: Plan, record: RunRecord, supervisor: Supervisor, signals: Signals, view: View
 ) -> None:
-    """Start all processes and show them until all have ended well."""
-    for process in plan.processes:
-        supervisor.start(process.name, process.command, plan.folder.output(process.name))
-    board = Board(plan.spec.names, Remaining(plan.parts))
-    statuses: queue.SimpleQueue[Status] = queue.SimpleQueue()
+    """Start all processes, and again those that die, and show them until all have ended well."""
+    crew = Crew(plan, supervisor)
+    board = Board(plan.watched, Remaining(plan.parts), crew.health.lives)
+    signs: queue.SimpleQueue[Sign] = queue.SimpleQueue()
     over: float | None = None  # when the host ended
-    with observing(plan, record.run, statuses.put):
-        while supervisor.running:
+
+    def notice(sign: Sign) -> None:
+        signs.put(sign)
+        if not isinstance(sign, Status):  # these come often, and can wait
+            signals.wake()
+
+    with observing(plan, record.run, notice), VitalSigns(plan.folder) as vital_signs:
+        while crew.at_work:
+            crew.start_due()
             signals.wait(REFRESH)
-            while not statuses.empty():
-                board.take(statuses.get(), time.monotonic())
-            view.show(board)
+            while not signs.empty():
+                sign = signs.get()
+                crew.take(sign)
+                if isinstance(sign, Status):
+                    board.take(sign, time.monotonic())
             if signals.stop:
                 raise _StoppedError
-            for end in supervisor.ended():
-                if end.status != 0:
-                    raise _DiedError(end)
-                if end.process == HOST:
-                    over = time.monotonic()
+            finished = crew.look()
+            board.events += crew.drain_events()
+            view.show(board)
+            vital_signs.write(board)
+            if HOST in finished and over is None:
+                over = time.monotonic()
             if over is not None and time.monotonic() > over + FAREWELL:
                 names = ", ".join(supervisor.running)
                 view.say(f"{names} did not end {FAREWELL:.0f} s after the host: stopped")
                 supervisor.stop()
+                return
 
 
-def _explain(end: End) -> None:
+def _explain(end: End, restarts: int) -> None:
     lines = end.last_lines()
     if lines and lines[-1].startswith("error: "):  # it could say itself what was wrong
         print(f"error: {end.process}: {lines[-1].removeprefix('error: ')}", file=sys.stderr)
         return
-    print(f"error: {end.process} {end.manner}; all others were stopped", file=sys.stderr)
+    again = f", also after {restarts} restarts" if restarts else ""
+    print(f"error: {end.process} {end.manner}{again}; all others were stopped", file=sys.stderr)
     if lines:
         print(f"its last lines ({end.output}):", file=sys.stderr)
         for line in lines:

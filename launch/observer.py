@@ -1,11 +1,11 @@
-"""Listens to the processes' statuses. It only looks: a run goes on whether it connects or not."""
+"""Listens to the processes' signs of life. It only looks: a run goes on whether it hears or not."""
 
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
-from otc_dist.bus.endpoints import Door, local_endpoint
-from otc_dist.bus.keys import Keys
+from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.messages import Status
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import StatusBoard
@@ -14,10 +14,28 @@ from otc_dist.errors import UserError
 
 from .plan import Plan
 
+_LOOK = 0.2  # seconds between two looks at whether there is a link to the bus
+
+
+class Token(NamedTuple):
+    """A process's liveliness token has appeared or gone."""
+
+    process: str
+    alive: bool
+
+
+class Link(NamedTuple):
+    """The observer's own link to the bus has come or gone."""
+
+    up: bool
+
+
+Sign = Status | Token | Link
+
 
 @contextmanager
-def observing(plan: Plan, run: str, take: Callable[[Status], None]) -> Iterator[None]:
-    """While entered, call `take`, from another thread, with every status of every process."""
+def observing(plan: Plan, run: str, take: Callable[[Sign], None]) -> Iterator[None]:
+    """While entered, call `take`, from other threads, with every sign of every process."""
     over = threading.Event()
     # A thread of its own, since the env host may take seconds before it listens.
     listener = threading.Thread(target=_listen, args=(plan, run, take, over), daemon=True)
@@ -28,14 +46,25 @@ def observing(plan: Plan, run: str, take: Callable[[Status], None]) -> Iterator[
         over.set()
 
 
-def _listen(plan: Plan, run: str, take: Callable[[Status], None], over: threading.Event) -> None:
-    door, maximum = Door(local_endpoint(plan.folder.root)), plan.description.bus.maximum_payload
-    processes = tuple(process.name for process in plan.processes)
+def _listen(plan: Plan, run: str, take: Callable[[Sign], None], over: threading.Event) -> None:
+    door = plan.place.observed_at(plan.folder.root)
+    maximum, processes = plan.description.bus.maximum_payload, (HOST, *plan.watched)
+    keys = Keys(run)
+
+    def noting(process: str) -> Callable[[bool], None]:
+        return lambda alive: take(Token(process, alive))
+
     while not over.is_set():
         try:
             session = Session.connect(door, maximum)
         except UserError:
             continue  # nobody listens yet
         with session:
-            StatusBoard(session, Keys(run), processes, Rejections(), take)
-            over.wait()
+            StatusBoard(session, keys, processes, Rejections(), take)
+            for process in processes:
+                session.watch_alive(keys.alive(process), noting(process))
+            linked = False
+            while not over.wait(_LOOK):
+                if session.linked != linked:
+                    linked = not linked
+                    take(Link(linked))

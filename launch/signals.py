@@ -1,5 +1,6 @@
 """Signals as something to wait for: an interrupt, or a child's end, wakes the main loop."""
 
+import contextlib
 import os
 import select
 import signal
@@ -39,8 +40,13 @@ class Signals:
         self.repeated = self.stop is not None
         self.stop = self.stop or signal.Signals(number)
 
+    def wake(self) -> None:
+        """Let `wait` return, from any thread."""
+        with contextlib.suppress(BlockingIOError):  # it is full: `wait` returns anyhow
+            os.write(self._write, b"\0")
+
     def wait(self, seconds: float) -> None:
-        """Sleep until a signal came (a child's end is one) or `seconds` have passed."""
+        """Sleep until a signal came (a child's end is one), `wake`, or `seconds` have passed."""
         ready, _, _ = select.select([self._read], [], [], seconds)
         if ready:
             os.read(self._read, 4096)

@@ -104,6 +104,14 @@ class Supervisor:
                 sink.close()
         self._running[name] = _Child(handle, output)
 
+    def pid(self, name: str) -> int:
+        """The process id of a running process."""
+        return self._running[name].handle.pid
+
+    def kill(self, name: str) -> None:
+        """SIGKILL to a running process and to what it started; its end shows in `ended`."""
+        _signal_group(self._running[name].handle.pid, signal.SIGKILL)
+
     def ended(self) -> list[End]:
         """The processes that ended since the last call."""
         ends = []
@@ -129,6 +137,17 @@ class Supervisor:
             _signal_group(child.handle.pid, signal.SIGKILL)
             child.handle.wait()
         return ends + self.ended()
+
+
+def processor_time(pid: int) -> float | None:
+    """Seconds of processor time that a process has used; None where the system does not tell."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return None
+    # After the command's name, which may hold anything: the 12th and 13th field, in ticks.
+    user, system = fields.rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def _signal_group(leader: int, number: signal.Signals) -> None:

@@ -13,6 +13,7 @@ from otc_dist.bus.messages import Status
 
 from . import forecast
 from .board import Board, place
+from .health import Life
 
 LINE_EVERY = 5.0  # seconds between two progress lines without a terminal
 
@@ -84,14 +85,17 @@ class TableView:
         ran = forecast.duration(time.monotonic() - self._start)
         table = Table(title=f"{self._title} · {ran} so far" + (f", {left} to go" if left else ""))
         table.add_column("process")
+        table.add_column("health")
         table.add_column("phase")
         for name in ("done", "of", "rate /s", "return", "alpha", "𝔻"):
             table.add_column(name, justify="right")
+        now = time.monotonic()
         for process in (HOST, *board.agents):
             status = board.newest.get(process, Status(process))
             measures = board.measures.get(process, {})
             table.add_row(
                 process,
+                health(board.lives.get(process), now),
                 place(status),
                 f"{status.update:,}" if status.total else "",
                 f"{status.total:,}" if status.total else "",
@@ -102,6 +106,15 @@ class TableView:
                 ),
             )
         return table
+
+
+def health(life: Life | None, clock: float) -> str:
+    """How a process is, and how often it has been started again: `silent for 2 s, restarts 1`."""
+    if life is None:
+        return ""
+    lasting = life.state in ("silent", "waiting")
+    told = f"{life.state} for {clock - life.since:.0f} s" if lasting else life.state
+    return told + (f", restarts {life.restarts}" if life.restarts else "")
 
 
 def _progress_line(board: Board) -> str:

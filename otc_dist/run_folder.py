@@ -15,6 +15,7 @@ class RunFolder:
     evaluations/evaluation_00.json   greedy returns of pi_0, pi_1, ..., written by the env host
     agents/agent_0/                  one learner's own: checkpoints and metrics.jsonl
     output/                          what each process printed
+    supervision.json                 how each process is, written by the launcher while it runs
     results.json, report.html        written at the end
     """
 
@@ -31,6 +32,10 @@ class RunFolder:
     @property
     def dataset_card(self) -> Path:
         return self.root / "dataset_card.json"
+
+    @property
+    def supervision(self) -> Path:
+        return self.root / "supervision.json"
 
     @property
     def results(self) -> Path:

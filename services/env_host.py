@@ -9,7 +9,7 @@ import json
 import logging
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,19 +18,17 @@ from otc_dist.bus.handshake import offer
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.lockstep import HostLockstep
 from otc_dist.bus.messages import Action, Moment, Observation, Phase, Status, StepOutcome
-from otc_dist.bus.replies import encode_history, history_rows
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.header import LogHeader, versions
-from otc_dist.deployment_log.reader import read_transitions
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
-from otc_dist.errors import UserError
 from otc_dist.transitions import Float32, JointStep
 
+from .history import history_of
 from .host_state import HostState, write_atomically
 from .process import FailureError, Run, door_at, parser, serve
 from .resimulation import resimulate
@@ -63,7 +61,7 @@ class EnvHost:
         self._present: set[str] = set()
         self._changed = threading.Condition()
         for agent in run.team.names:
-            session.answer(run.keys.history(agent), self._history_of(agent))
+            session.answer(run.keys.history(agent), history_of(run, agent, self._rejections))
             session.watch_alive(run.keys.alive(agent), self._presence_of(agent))
         offer(session, run.keys, run.spec)
         session.declare_alive(run.keys.alive(HOST))
@@ -228,27 +226,6 @@ class EnvHost:
                 self._changed.notify_all()
 
         return note
-
-    def _history_of(self, agent: str) -> Callable[[Mapping[str, str]], bytes]:
-        """Answers queries for the agent's own transitions, read from the log."""
-        spec = self._run.team.agents[self._run.team.index(agent)]
-        rows = history_rows(spec, self._run.maximum_payload)
-        page = max(1, rows // self._description.env.copies)  # steps
-
-        def reply(parameters: Mapping[str, str]) -> bytes:
-            try:
-                k, start, stop = (int(parameters[key]) for key in ("deployment", "start", "stop"))
-                if not 0 <= start < stop:
-                    raise ValueError
-                stop = min(stop, start + page)
-                found = read_transitions(self._folder.deployment(k), agent, start, stop)
-            except (KeyError, ValueError):
-                raise LookupError("a history query needs deployment, start < stop") from None
-            except UserError as error:
-                raise LookupError(str(error)) from None
-            return encode_history(self._run.keys.run, agent, k, start, found)
-
-        return reply
 
 
 def _actions(answers: Sequence[Action]) -> list[Float32]:

@@ -35,10 +35,11 @@ _FAREWELL = 10.0  # seconds to wait for the env host's end after the last answer
 class LearnerService:
     """One agent's learner: pi_0, then whatever the env host asks, until it says done."""
 
-    def __init__(self, run: Run, agent: AgentSpec, session: Session) -> None:
+    def __init__(
+        self, run: Run, agent: AgentSpec, session: Session, rejections: Rejections
+    ) -> None:
         self._run, self._agent, self._name = run, agent, agent.name
         self._folder = run.folder
-        rejections = Rejections()
         self._state = Status(agent.name)
         self.heartbeat = Heartbeat(session, run.keys, agent.name, rejections, lambda: self._state)
         self._lockstep = LearnerLockstep(session, run.keys, agent, run.copies, rejections)
@@ -239,8 +240,9 @@ def main() -> None:
             door = door_at(arguments.connect, agent.name, arguments)
         deadline = run.description.bus.answer_deadline
         with Session.connect(door, run.maximum_payload, deadline) as session:
-            agree(session, run.keys, run.spec, deadline)
-            service = LearnerService(run, agent, session)
+            rejections = Rejections()
+            agree(session, run.keys, run.spec, deadline, rejections)
+            service = LearnerService(run, agent, session, rejections)
             with service.heartbeat:
                 service.serve()
 

@@ -85,6 +85,8 @@ class Status:
     update, total: updates of a learner, steps of the env host, done and to be done in the phase.
     rate: updates or steps a second, measured between two statuses.
     metrics: named numbers, all finite; `rejected/{reason}` counts rejected messages.
+    beat: larger in every later status of a process, also after a restart: one that was recorded
+        and is sent again is told from a sign of life.
     """
 
     process: str
@@ -94,18 +96,20 @@ class Status:
     total: int = 0
     rate: float = 0.0
     metrics: Mapping[str, float] = field(default_factory=dict)
+    beat: int = 0
 
 
 def encode_status(run: str, status: Status) -> bytes:
     """Metrics that are not finite are left out."""
     metrics = {key: float(x) for key, x in status.metrics.items() if math.isfinite(x)}
     head = [PROTOCOL_VERSION, run, status.process, status.phase, status.deployment]
-    return pack([*head, status.update, status.total, status.rate, metrics])
+    return pack([*head, status.update, status.total, status.rate, metrics, status.beat])
 
 
 def decode_status(payload: bytes, run: str, process: str) -> Status:
     """Raises RejectedError for anything but a status of `process`."""
-    _, _, sender, phase, deployment, update, total, rate, metrics = unpack(payload, run, 9)
+    fields = unpack(payload, run, 10)
+    _, _, sender, phase, deployment, update, total, rate, metrics, beat = fields
     if sender != process:
         raise RejectedError("agent")
     if type(metrics) is not dict or len(metrics) > _MOST_METRICS:
@@ -118,4 +122,5 @@ def decode_status(payload: bytes, run: str, process: str) -> Status:
         natural(total),
         number(rate),
         {name(key): number(value) for key, value in metrics.items()},
+        natural(beat),
     )

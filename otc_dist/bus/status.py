@@ -38,6 +38,7 @@ class Heartbeat:
         self._put = session.publisher(keys.status(process))
         self._run, self._rejections, self._describe = keys.run, rejections, describe
         self._before = (time.monotonic(), Status(process))
+        self._last_beat = 0
         self._stop, self._lock = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
 
@@ -46,7 +47,8 @@ class Heartbeat:
         with self._lock:
             status = self._describe()
             metrics = {**status.metrics, **self._rejections.as_metrics()}
-            status = replace(status, rate=self._rate(status), metrics=metrics)
+            self._last_beat = max(self._last_beat + 1, time.time_ns())
+            status = replace(status, rate=self._rate(status), metrics=metrics, beat=self._last_beat)
             self._put(encode_status(self._run, status))
 
     def _rate(self, status: Status) -> float:
@@ -99,6 +101,9 @@ class StatusBoard:
         def receive(payload: bytes) -> None:
             try:
                 status = decode_status(payload, self._run, process)
+                newest = self.newest(process)
+                if newest is not None and status.beat <= newest.beat:
+                    raise RejectedError("stale")
             except RejectedError as rejected:
                 self._rejections.count(rejected)
                 return

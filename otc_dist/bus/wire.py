@@ -18,7 +18,7 @@ from otc_dist.transitions import Bool, Float32, all_finite
 
 log = logging.getLogger(__name__)
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
 _LONGEST_NAME = 256  # characters
 FLOAT, BOOLEAN = np.dtype("<f4"), np.dtype("?")
 

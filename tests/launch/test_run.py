@@ -5,10 +5,12 @@ import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 
+from otc_dist.launch.__main__ import main
 from otc_dist.launch.run_record import RunRecord
 from otc_dist.run_folder import RunFolder
 
@@ -99,28 +101,41 @@ def test_ctrl_c_leaves_no_process_and_resume_ends_the_same(
     same(folder, finished[0])
 
 
-def test_a_killed_child_is_reported_and_all_are_stopped(
+def status_of(run: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """What `launch status` tells programs."""
+    capsys.readouterr()
+    assert main(["status", str(run), "--json"]) == 0
+    told: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return told
+
+
+def test_a_killed_child_is_started_again_and_the_run_ends_the_same(
     finished: tuple[RunFolder, Launcher],
     launch: Launch,
     tmp_path: Path,
     tiny_flags: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    folder = RunFolder(tmp_path / "run")
     launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
     launcher.read_until(lambda line: line.startswith("agent_1: offline"))
-    (victim,) = (
-        pid for command, pid in processes_of(tmp_path / "run").items() if "agent_1" in command
-    )
+    told = status_of(folder.root, capsys)
+    assert told["state"] == "running"
+    processes = told["supervision"]["processes"]
+    assert processes.keys() == {"host", *AGENTS}
+    victim = processes["agent_1"]["pid"]
+    assert victim in processes_of(folder.root).values()
     os.kill(victim, signal.SIGKILL)
-    assert launcher.finish() == 1
-    assert "error: agent_1 was killed by SIGKILL; all others were stopped" in launcher.lines
-    assert f"resume with: python -m otc_dist.launch --resume {tmp_path / 'run'}" in launcher.lines
-    folder = RunFolder(tmp_path / "run")
-    assert processes_of(folder.root) == {}
-    assert RunRecord.read(folder).state == "failed"
-
-    resumed = launch("--resume", str(folder.root))
-    assert resumed.finish() == 0, resumed.text
+    launcher.read_until(lambda line: line.startswith("agent_1: was killed by SIGKILL"))
+    launcher.read_until(lambda line: "deployment 1" in line)
+    agent = status_of(folder.root, capsys)["supervision"]["processes"]["agent_1"]
+    assert (agent["restarts"], agent["last_end"]) == (1, "was killed by SIGKILL")
+    assert agent["pid"] != victim
+    assert launcher.finish() == 0, launcher.text
     same(folder, finished[0])
+    assert processes_of(folder.root) == {}
+    told = status_of(folder.root, capsys)
+    assert (told["state"], told["supervision"]) == ("finished", None)
 
 
 def test_killing_the_launcher_leaves_no_orphan_and_a_run_to_go_on_with(
@@ -128,6 +143,7 @@ def test_killing_the_launcher_leaves_no_orphan_and_a_run_to_go_on_with(
     launch: Launch,
     tmp_path: Path,
     tiny_flags: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
     launcher.read_until(lambda line: line.startswith("host: deployment 1"))
@@ -136,6 +152,7 @@ def test_killing_the_launcher_leaves_no_orphan_and_a_run_to_go_on_with(
     launcher.process.kill()
     wait_for_end(children)
 
+    assert status_of(tmp_path / "run", capsys)["state"] == "interrupted"
     resumed = launch("--resume", str(tmp_path / "run"))
     assert resumed.finish() == 0, resumed.text
     same(RunFolder(tmp_path / "run"), finished[0])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.bus.wire import PROTOCOL_VERSION
 from otc_dist.deployment_log.format import partial_path
 
 from .conftest import AGENTS, PROCESSES, Services
@@ -144,5 +145,5 @@ def test_another_protocol_version_is_refused_in_one_sentence(run: Services) -> N
     run.start("agent_0", stub=True, version=7)
     assert run.wait("agent_0") == 2
     last = run.output("agent_0").splitlines()[-1]
-    assert "protocol version 2 and this one 7: install the same version" in last
+    assert f"protocol version {PROTOCOL_VERSION} and this one 7: install the same version" in last
     assert run.running["host"].poll() is None

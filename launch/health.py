@@ -1,0 +1,174 @@
+"""How every process of a run is: what its token, its statuses and its ends say. No action here.
+
+A process that can no longer run (frozen, or its machine is cut off) loses its liveliness token
+within the lease of its link, 2 s. If it is also seen to use no processor time, it is frozen, and
+is to be killed. A process whose heartbeat goes on while its work does not is stuck.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from otc_dist.bus.keys import HOST
+from otc_dist.bus.messages import Status
+from otc_dist.bus.status import BUSY
+
+from .supervisor import End
+
+LIMIT = 5  # restarts of a process in a row that neither bring it further nor last
+LASTING = 60.0  # seconds
+FIRST_DELAY = 0.25  # seconds from a death to the restart; doubles with every restart in a row
+FROZEN_AFTER = 3.0  # seconds without a token and without processor time
+
+State = Literal["starting", "up", "silent", "waiting", "ended"]
+
+# Order of the phases of one deployment, for learners and the env host alike.
+_ORDER = {"starting": 0, "offline": 1, "embedding": 2, "deployment": 3, "tuning": 3}
+_LATER = {"evaluation": 4, "ready": 5, "done": 6}
+_RANK = {**_ORDER, **_LATER}
+Position = tuple[int, int, int]  # deployment, rank of the phase, update
+
+
+@dataclass
+class Life:
+    """One process.
+
+    state: "starting" (no token yet), "up", "silent" (its token went), "waiting" (to be started
+        again), "ended" (well).
+    since: clock at which it came into this state, seconds.
+    restarts: all of them; `vain`: those since it last got further than ever before, or lasted.
+    """
+
+    state: State = "starting"
+    since: float = 0.0
+    pid: int = 0
+    born: float = 0.0  # clock at which this process was started
+    restarts: int = 0
+    vain: int = 0
+    last_end: str = ""
+    furthest: Position = (0, 0, 0)
+    now: Position = (0, 0, 0)
+    moved: float = 0.0  # clock at which `now` last changed
+    busy: bool = True
+    idle_since: float = 0.0  # clock at which its processor time last changed, while silent
+    processor: float = -1.0
+    told_silent: bool = False
+
+    def enter(self, state: State, clock: float) -> None:
+        self.told_silent = self.told_silent and state == self.state
+        self.state, self.since = state, clock
+        self.idle_since, self.processor = clock, -1.0
+
+
+class Health:
+    """The lives of the processes that one launcher has started.
+
+    Args:
+        names: of the processes.
+        stuck_after: seconds that a busy process may take between two signs of progress.
+        host_is_router: the env host's session carries the bus, so that a lost link means that
+            the env host is silent; otherwise it says nothing about anybody.
+    """
+
+    def __init__(self, names: Iterable[str], stuck_after: float, host_is_router: bool) -> None:
+        self.lives = {name: Life() for name in names}
+        self._stuck_after, self._host_is_router = stuck_after, host_is_router
+        self._linked, self._host_alive = False, False
+        self.events: list[str] = []
+
+    def started(self, name: str, pid: int, clock: float) -> None:
+        life = self.lives[name]
+        life.pid, life.born, life.moved, life.busy = pid, clock, clock, True
+        life.now = (0, 0, 0)
+        life.enter("starting", clock)
+
+    def take_token(self, name: str, alive: bool, clock: float) -> None:
+        """The token of a process appeared or went."""
+        if name == HOST and alive and not self._host_alive:
+            self.forgive(clock)  # the centre of the bus was away
+        if name == HOST:
+            self._host_alive = alive
+        life = self.lives.get(name)
+        if life is None:
+            return
+        if alive and life.state in ("starting", "silent"):
+            if life.told_silent:
+                self.events.append(f"{name}: is back")
+            life.enter("up", clock)
+        elif not alive and life.state == "up":
+            life.enter("silent", clock)
+
+    def take_link(self, linked: bool, clock: float) -> None:
+        """The launcher's own link to the bus came or went."""
+        self._linked = linked
+        self.forgive(clock)
+
+    def forgive(self, clock: float) -> None:
+        """Count silence and standstill from now on: nothing could be heard until now."""
+        for life in self.lives.values():
+            life.moved = clock
+            if life.state == "silent":
+                life.enter("silent", clock)
+
+    def take(self, status: Status, clock: float) -> None:
+        """A process said what it does."""
+        life = self.lives.get(status.process)
+        if life is None:
+            return
+        position = (status.deployment, _RANK.get(status.phase, 0), status.update)
+        life.busy = status.phase in BUSY
+        if position != life.now:
+            life.now, life.moved = position, clock
+        if position > life.furthest:
+            life.furthest, life.vain = position, 0
+
+    def died(self, end: End, clock: float) -> float | None:
+        """Seconds until it is to be started again; None if that has been tried often enough."""
+        life = self.lives[end.process]
+        life.last_end = end.manner
+        if clock - life.born >= LASTING:
+            life.vain = 0
+        if life.vain == LIMIT:
+            return None
+        delay: float = FIRST_DELAY * 2**life.vain
+        life.vain += 1
+        life.restarts += 1
+        life.enter("waiting", clock)
+        self.events.append(
+            f"{end.process}: {end.manner}; starts again in {delay:g} s ({life.vain} of {LIMIT})"
+        )
+        return delay
+
+    def ended(self, name: str, clock: float) -> None:
+        """It has ended well."""
+        self.lives[name].enter("ended", clock)
+
+    def lost(self, clock: float, processor_time: Callable[[int], float | None]) -> dict[str, str]:
+        """The processes to be killed: name -> why.
+
+        Args:
+            processor_time: seconds that a process has used; None if this system does not tell.
+        """
+        found = {}
+        for name, life in self.lives.items():
+            # One that is done takes its token with it a moment before its end shows.
+            if life.state == "silent" and not life.told_silent and life.now[1] < _RANK["done"]:
+                life.told_silent = True
+                self.events.append(f"{name}: is silent")
+            if life.state == "silent" and self._judged(name):
+                used = processor_time(life.pid)
+                if used is None or used != life.processor:
+                    life.idle_since = clock
+                    life.processor = -1.0 if used is None else used
+                elif clock - life.idle_since >= FROZEN_AFTER:
+                    found[name] = "is frozen"
+            heard = self._linked and life.state in ("starting", "up") and life.busy
+            if heard and clock - life.moved >= self._stuck_after:
+                found[name] = f"has made no progress for {self._stuck_after:g} s"
+        return found
+
+    def _judged(self, name: str) -> bool:
+        """Whether a missing token speaks of the process, not of the way to it."""
+        if self._host_is_router:
+            return name == HOST or self._host_alive
+        return self._linked

@@ -1,0 +1,89 @@
+"""`launch status RUN`: where a run stands, and how its processes are."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+
+from otc_dist.bus.messages import Status
+from otc_dist.errors import UserError
+from otc_dist.run_folder import RunFolder
+
+from . import forecast, run_record
+from .board import place
+from .parser import Parser
+from .run_record import RunRecord
+from .vital_signs import ProcessState, Supervision
+
+_LATE = 5.0  # seconds without a word of the launcher's, after which it is said
+_COLUMNS = "{:10} {:>7} {:12} {:>8}  {:32} {:>17}"
+
+
+def main(argv: list[str]) -> int:
+    """Print it. Returns the exit status.
+
+    Raises:
+        UserError: not a run's folder, or a damaged one.
+    """
+    parser = Parser(
+        prog="python -m otc_dist.launch status",
+        description="Where a run stands, and how each of its processes is: from any terminal, while"
+        " the run goes or after it.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("run", type=Path, help="the run folder")
+    parser.add_argument("--json", action="store_true", help="for programs")
+    arguments = parser.parse_args(argv)
+    folder = RunFolder(arguments.run.resolve())
+    record = RunRecord.read(folder)
+    launched = _launched(folder)
+    state: str = record.state
+    if state == "running" and not launched:
+        state = "interrupted"
+    supervision = Supervision.read(folder) if launched else None
+    if arguments.json:
+        told = {
+            "run": record.run,
+            "state": state,
+            "started": record.started,
+            "finished": record.finished,
+            "supervision": supervision and asdict(supervision),
+        }
+        print(json.dumps(told, indent=1))
+    else:
+        print("\n".join(_lines(folder, state, supervision)))
+    return 0
+
+
+def _launched(folder: RunFolder) -> bool:
+    """Whether a launcher holds the folder."""
+    try:
+        with run_record.locked(folder):
+            return False
+    except UserError:
+        return True
+
+
+def _lines(folder: RunFolder, state: str, supervision: Supervision | None) -> Iterator[str]:
+    yield f"{folder.root}: {state}"
+    if state in ("stopped", "failed", "interrupted"):
+        yield f"go on with: python -m otc_dist.launch --resume {folder.root}"
+    if supervision is None:
+        return
+    silence = (datetime.now(UTC) - datetime.fromisoformat(supervision.written)).total_seconds()
+    if silence > _LATE:
+        yield f"the launcher (process {supervision.launcher}) has said nothing for {silence:.0f} s"
+    if supervision.seconds_left is not None:
+        yield f"about {forecast.duration(supervision.seconds_left)} to go"
+    yield _COLUMNS.format("process", "pid", "health", "restarts", "does", "done")
+    for name, process in supervision.processes.items():
+        yield _row(name, process).rstrip()
+
+
+def _row(name: str, process: ProcessState) -> str:
+    does = place(Status(name, process.phase, process.deployment))
+    done = f"{process.done:,}/{process.of:,}" if process.of else ""
+    ended = f"  last: {process.last_end}" if process.last_end else ""
+    row = _COLUMNS.format(name, process.pid, process.health, process.restarts, does, done)
+    return row + ended

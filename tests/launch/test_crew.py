@@ -1,0 +1,105 @@
+"""The crew with real processes: started again when they die, given up when that is of no use."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from otc_dist.launch import descriptions, health
+from otc_dist.launch.crew import Crew, DiedError
+from otc_dist.launch.plan import Plan, Process
+from otc_dist.launch.resolve import resolve
+from otc_dist.launch.signals import Signals
+from otc_dist.launch.supervisor import Supervisor
+from otc_dist.run_folder import RunFolder
+from otc_dist.spec import TeamSpec
+
+# Appends a letter to a file, and ends well once it has as many as it is told.
+COUNT = """
+import sys
+path, enough, status = sys.argv[1:]
+with open(path, "a+") as file:
+    file.write("x"); file.seek(0); count = len(file.read())
+raise SystemExit(0 if count >= int(enough) else int(status))
+"""
+
+
+@pytest.fixture
+def crew_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Crew]]:
+    """A crew of processes by these commands, which restarts at once."""
+    monkeypatch.setattr(health, "FIRST_DELAY", 0.001)
+    description = resolve(descriptions.load("navigation", ["engine.name=eager"], None, True))
+    with Signals() as signals, Supervisor(signals) as supervisor:
+
+        def make(**commands: list[str]) -> Crew:
+            processes = tuple(
+                Process(name, (sys.executable, "-c", *command), (), (), ())
+                for name, command in commands.items()
+            )
+            team = TeamSpec("navigation", (), 0, 1)
+            crew = Crew(Plan(description, RunFolder(tmp_path), team, processes), supervisor)
+            crew.wait = lambda: signals.wait(0.01)  # type: ignore[attr-defined]
+            return crew
+
+        yield make
+
+
+def work(crew: Crew, until: Callable[[], bool] = lambda: False) -> None:
+    while crew.at_work and not until():
+        crew.start_due()
+        crew.wait()  # type: ignore[attr-defined]
+        crew.look()
+
+
+def count(path: Path) -> int:
+    return len(path.read_text())
+
+
+def test_what_dies_is_started_until_it_ends_well(
+    crew_of: Callable[..., Crew], tmp_path: Path
+) -> None:
+    path = tmp_path / "count"
+    crew = crew_of(agent_0=[COUNT, str(path), "3", "1"])
+    work(crew)
+    assert count(path) == 3
+    assert crew.health.lives["agent_0"].restarts == 2
+    assert [event.split(";")[0] for event in crew.drain_events()] == [
+        "agent_0: exited with status 1"
+    ] * 2
+
+
+def test_what_dies_too_often_is_given_up(crew_of: Callable[..., Crew], tmp_path: Path) -> None:
+    path = tmp_path / "count"
+    crew = crew_of(agent_0=[COUNT, str(path), "100", "1"])
+    with pytest.raises(DiedError) as died:
+        work(crew)
+    assert count(path) == 1 + health.LIMIT
+    assert (died.value.end.process, died.value.restarts) == ("agent_0", health.LIMIT)
+
+
+def test_a_mistake_of_the_user_s_is_not_tried_again(
+    crew_of: Callable[..., Crew], tmp_path: Path
+) -> None:
+    path = tmp_path / "count"
+    with pytest.raises(DiedError):
+        work(crew_of(agent_0=[COUNT, str(path), "100", "2"]))
+    assert count(path) == 1
+
+
+def test_a_host_that_starts_again_finds_the_learners_that_had_ended(
+    crew_of: Callable[..., Crew], tmp_path: Path
+) -> None:
+    """It will ask them all once more."""
+    go, path = tmp_path / "go", tmp_path / "count"
+    wait = "import os, sys, time\n"
+    wait += "go = sys.argv.pop()\nwhile not os.path.exists(go): time.sleep(0.01)\n"
+    crew = crew_of(
+        host=[wait + COUNT, str(tmp_path / "host"), "2", "1", str(go)],
+        agent_0=[COUNT, str(path), "0", "1"],
+    )
+    work(crew, until=lambda: crew.health.lives["agent_0"].state == "ended")
+    go.touch()
+    work(crew)
+    assert count(tmp_path / "host") == 2
+    assert count(path) == 2

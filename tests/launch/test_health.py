@@ -1,0 +1,127 @@
+"""What tokens, statuses and ends say of processes: who is well, who is lost, who starts again."""
+
+import pytest
+
+from otc_dist.bus.messages import Status
+from otc_dist.launch.health import FIRST_DELAY, FROZEN_AFTER, LASTING, LIMIT, Health
+from otc_dist.launch.supervisor import End
+
+DEADLINE = 30.0
+KILLED = {name: End(name, -9, None) for name in ("host", "agent_0")}
+
+
+def at_rest(pid: int) -> float:
+    """Processor time that does not grow."""
+    return 1.0
+
+
+@pytest.fixture
+def health() -> Health:
+    """Host and agent_0 are up at 0 s."""
+    made = Health(("host", "agent_0"), DEADLINE, host_is_router=True)
+    made.take_link(True, 0.0)
+    for pid, name in enumerate(("host", "agent_0"), 100):
+        made.started(name, pid, 0.0)
+        made.take_token(name, True, 0.0)
+    return made
+
+
+def states(health: Health) -> list[str]:
+    return [life.state for life in health.lives.values()]
+
+
+def test_a_process_is_up_when_its_token_is_there() -> None:
+    health = Health(("host", "agent_0"), DEADLINE, host_is_router=True)
+    health.started("host", 100, 0.0)
+    assert states(health) == ["starting", "starting"]
+    health.take_token("host", True, 1.0)
+    health.take_token("somebody else", True, 1.0)
+    assert states(health) == ["up", "starting"]
+
+
+def test_a_silent_process_that_does_nothing_is_frozen(health: Health) -> None:
+    health.take_token("agent_0", False, 1.0)
+    assert health.lost(1.0, at_rest) == {}
+    assert health.events == ["agent_0: is silent"]
+    assert health.lost(1.0 + FROZEN_AFTER, at_rest) == {"agent_0": "is frozen"}
+
+
+def test_a_silent_process_that_works_is_not_lost(health: Health) -> None:
+    health.take_token("agent_0", False, 1.0)
+    for second in range(1, 20):
+        assert health.lost(float(second), lambda _, used=second: float(used)) == {}  # type: ignore[misc]
+
+
+def test_a_process_that_is_back_is_well(health: Health) -> None:
+    health.take_token("agent_0", False, 1.0)
+    assert health.lost(1.0, at_rest) == {}
+    health.take_token("agent_0", True, 2.0)
+    assert health.lost(10.0, at_rest) == {}
+    assert health.events == ["agent_0: is silent", "agent_0: is back"]
+
+
+def test_without_the_host_only_the_host_is_judged(health: Health) -> None:
+    """It carries the bus: the others' tokens went with it."""
+    for name in ("host", "agent_0"):
+        health.take_token(name, False, 1.0)
+    health.lost(1.0, at_rest)
+    assert health.lost(1.0 + FROZEN_AFTER, at_rest) == {"host": "is frozen"}
+    health.take_token("host", True, 9.0)
+    assert health.lost(9.0, at_rest) == {}
+    assert health.lost(9.0 + FROZEN_AFTER, at_rest) == {"agent_0": "is frozen"}
+
+
+def test_behind_a_router_nobody_is_judged_while_the_link_is_cut(health: Health) -> None:
+    routed = Health(("host",), DEADLINE, host_is_router=False)
+    routed.started("host", 100, 0.0)
+    routed.take_link(True, 0.0)
+    routed.take_token("host", True, 0.0)
+    routed.take_token("host", False, 1.0)
+    routed.take_link(False, 1.0)
+    routed.lost(1.0, at_rest)
+    assert routed.lost(20.0, at_rest) == {}
+    routed.take_link(True, 20.0)
+    routed.lost(20.0, at_rest)
+    assert routed.lost(20.0 + FROZEN_AFTER, at_rest) == {"host": "is frozen"}
+
+
+def test_a_busy_process_without_progress_is_lost_whatever_its_heartbeat_says(
+    health: Health,
+) -> None:
+    for second in range(0, 40, 10):
+        health.take(Status("agent_0", "tuning", 1, 7, 100), float(second))
+        health.take(Status("host", "deployment", 1, 3, 100), float(second))
+    why = f"has made no progress for {DEADLINE:g} s"
+    assert health.lost(DEADLINE, at_rest) == {"agent_0": why}  # the host waits: it is not busy
+    health.take(Status("agent_0", "tuning", 1, 8, 100), DEADLINE)
+    assert health.lost(DEADLINE + 1, at_rest) == {}
+
+
+def test_delays_double_and_end_after_the_limit(health: Health) -> None:
+    delays = []
+    for restart in range(LIMIT):
+        delays.append(health.died(KILLED["agent_0"], 1.0 + restart))
+        health.started("agent_0", 200 + restart, 1.0 + restart)
+    assert delays == [FIRST_DELAY * 2**n for n in range(LIMIT)]
+    assert health.died(KILLED["agent_0"], 9.0) is None
+    assert health.lives["agent_0"].restarts == LIMIT
+    assert health.lives["agent_0"].last_end == "was killed by SIGKILL"
+
+
+def test_progress_or_a_minute_of_life_make_the_next_restart_the_first(health: Health) -> None:
+    health.died(KILLED["agent_0"], 1.0)
+    health.started("agent_0", 200, 1.0)
+    assert health.died(KILLED["agent_0"], 2.0) == 2 * FIRST_DELAY
+    health.started("agent_0", 201, 2.0)
+    health.take(Status("agent_0", "offline", 0, 100, 1000), 3.0)
+    assert health.died(KILLED["agent_0"], 4.0) == FIRST_DELAY
+    health.started("agent_0", 202, 4.0)
+    assert health.died(KILLED["agent_0"], 4.0 + LASTING) == FIRST_DELAY
+
+
+def test_catching_up_is_no_progress(health: Health) -> None:
+    health.take(Status("agent_0", "offline", 0, 500, 1000), 1.0)
+    health.died(KILLED["agent_0"], 1.0)
+    health.started("agent_0", 200, 2.0)
+    health.take(Status("agent_0", "offline", 0, 400, 1000), 3.0)
+    assert health.died(KILLED["agent_0"], 4.0) == 2 * FIRST_DELAY
