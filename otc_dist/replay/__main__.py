@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 from otc_dist.errors import run_main
+from otc_dist.replay.export.formats import FORMATS
 from otc_dist.replay.selection import step_range
 
 DESCRIPTION = """\
@@ -17,6 +18,7 @@ EXAMPLES = """\
 examples:
   python -m otc_dist.replay runs/3agent_hopper-seed0/deployments/*.mcap
   python -m otc_dist.replay deployment_01.mcap --steps 100:200 --agent agent_1
+  python -m otc_dist.replay damaged.mcap --recover --out whole.mcap
 """
 
 
@@ -47,7 +49,16 @@ class _Action:
         return self.flag.removeprefix("--").replace("-", "_")
 
 
-_ACTIONS: tuple[_Action, ...] = ()
+_ACTIONS: tuple[_Action, ...] = (
+    _Action(
+        "--export",
+        "export.command",
+        "data sets for other tools, in the folder --out: minari, d4rl, parquet, lerobot or csv",
+        metavar="FORMAT",
+        choices=tuple(FORMATS),
+    ),
+    _Action("--recover", "recover", "write what is whole of a damaged or unfinished log anew"),
+)
 
 
 def main(argv: list[str]) -> int:

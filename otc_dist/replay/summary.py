@@ -74,7 +74,7 @@ def _whole(summary: LogSummary, selection: Selection) -> list[tuple[str, str]]:
             f" {len(summary.episodes) - len(ended):,} cut short",
         ),
         ("returns", _spread(_team_returns(counted, selection.indices(summary.header.team.names)))),
-        ("gaps", _gaps(summary)),
+        ("gaps", gaps(summary)),
     ]
 
 
@@ -106,7 +106,8 @@ def _part(log: OpenLog, summary: LogSummary, selection: Selection) -> list[tuple
 def _team_returns(episodes: Iterable[Episode], agents: Sequence[int]) -> Float64:
     """Mean over the agents of their returns, (episodes,)."""
     returns = [[episode.returns[index] for index in agents] for episode in episodes]
-    return np.array(returns, np.float64).reshape(-1, len(agents)).mean(axis=1)
+    mean: Float64 = np.array(returns, np.float64).reshape(-1, len(agents)).mean(axis=1)
+    return mean
 
 
 def _spread(values: Float64) -> str:
@@ -116,13 +117,14 @@ def _spread(values: Float64) -> str:
     return f"mean {values.mean():,.2f}, std {values.std():,.2f}, from {low} to {high}"
 
 
-def _gaps(summary: LogSummary) -> str:
-    gaps, before = [], 0
+def gaps(summary: LogSummary) -> str:
+    """Which steps are missing before the last, in words."""
+    missing, before = [], 0
     for low, high in summary.ranges:
         if low > before:
-            gaps.append(f"{before:,} to {low - 1:,}")
+            missing.append(f"{before:,} to {low - 1:,}")
         before = high
-    return f"steps {', '.join(gaps)} are missing" if gaps else "none"
+    return f"steps {', '.join(missing)}" if missing else "none"
 
 
 def _when(summary: LogSummary) -> str:

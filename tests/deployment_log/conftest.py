@@ -73,6 +73,11 @@ class Recording:
         return self.write(path).finish({name: f"digest of {name}" for name in self.team.names})
 
 
+@pytest.fixture(scope="session")
+def recording_of() -> Callable[..., Recording]:
+    return Recording
+
+
 @pytest.fixture
 def recording() -> Callable[..., Recording]:
     return Recording

@@ -1,0 +1,68 @@
+"""`--recover`: a log anew, from every step of a damaged or unfinished one that is whole."""
+
+import argparse
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+from otc_dist.deployment_log.finishing import write_finished
+from otc_dist.deployment_log.format import PARTIAL_SUFFIX
+from otc_dist.deployment_log.reader import read_summary
+from otc_dist.deployment_log.record import Rows
+from otc_dist.deployment_log.salvage import Salvage
+from otc_dist.errors import UserError
+from otc_dist.progress import Report, shown
+from otc_dist.replay.output import claimed
+from otc_dist.replay.summary import gaps
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write each file's whole steps to a finished log; 1 if a step before the last is missing.
+
+    Raises:
+        UserError: two files and one `--out`, an output that exists, no whole step, a full disk.
+    """
+    if arguments.out is not None and len(arguments.files) > 1:
+        raise UserError("--out names one file, but there are several to recover; do without it")
+    complete = True
+    for path in arguments.files:
+        out = arguments.out or recovered_path(path)
+        recover(path, out, force=arguments.force)
+        summary = read_summary(out)
+        missing = gaps(summary)
+        print(f"{out}: {summary.steps:,} steps up to step {summary.end - 1:,}; missing: {missing}")
+        complete = complete and missing == "none"
+    return 0 if complete else 1
+
+
+def recovered_path(path: Path) -> Path:
+    """Where the whole steps of `path` go: a.mcap and a.mcap.partial give a.recovered.mcap."""
+    name = path.name.removesuffix(PARTIAL_SUFFIX).removesuffix(".mcap")
+    return path.with_name(f"{name}.recovered.mcap")
+
+
+def recover(path: Path, out: Path, *, force: bool) -> None:
+    """Write all whole steps of a log to a finished one, `out`.
+
+    Raises:
+        UserError: there is none, no header is whole, `out` exists, the disk is full, ...
+    """
+    with (
+        Salvage(path) as found,
+        claimed(out, force=force) as unfinished,
+        shown(f"searching {path.name}", "bytes") as report,
+    ):
+        steps = partial(_reported, found, report)
+        write_finished(unfinished, found.header, steps, found.policies())
+
+
+def _reported(found: Salvage, report: Report) -> Iterator[Rows]:
+    """All whole steps. Raises UserError if there is none."""
+    some = False
+    for rows in found.blocks():
+        some = True
+        report(found.searched, found.size)
+        yield rows
+    if not some:
+        raise UserError(f"{found.path} holds no whole step")
+    report(found.size, found.size)
