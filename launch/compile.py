@@ -1,4 +1,4 @@
-"""`python -m otc_dist.launch.compile RUN`: compile a run's updates once, before the learners start.
+"""`python -m otc_dist.launch.compile RUN [AGENT]`: compile updates once, before learners start.
 
 They then load the code from the cache, instead of each compiling the same. What is compiled
 depends on the networks' and minibatches' sizes, so a learner with a little made-up data and a few
@@ -25,11 +25,15 @@ DEPLOYED = 16
 
 
 def main(argv: list[str]) -> int:
-    """Compile for every agent that differs in its sizes; agents of one size share the code."""
+    """Compile for every agent that differs in its sizes; agents of one size share the code.
+
+    `argv`: the run folder, and the agents that learn on this machine (none: all).
+    """
     description = Description.load(RunFolder(Path(argv[0])).description)
     agents = {
         (agent.observation_size, agent.action_size): agent
         for agent in registry.team_spec(description.env.id).agents
+        if agent.name in argv[1:] or not argv[1:]
     }
     print("compiling the updates (about a minute; seconds if done before) ...", file=sys.stderr)
     start = time.monotonic()

@@ -14,6 +14,8 @@ from otc_dist.errors import UserError
 
 from .plan import Plan
 
+_PATIENCE = 2.0  # seconds of an attempt to connect
+_FAREWELL = 5.0  # seconds; a session closes within two
 _LOOK = 0.2  # seconds between two looks at whether there is a link to the bus
 
 
@@ -44,6 +46,7 @@ def observing(plan: Plan, run: str, take: Callable[[Sign], None]) -> Iterator[No
         yield
     finally:
         over.set()
+        listener.join(_FAREWELL)
 
 
 def _listen(plan: Plan, run: str, take: Callable[[Sign], None], over: threading.Event) -> None:
@@ -56,7 +59,7 @@ def _listen(plan: Plan, run: str, take: Callable[[Sign], None], over: threading.
 
     while not over.is_set():
         try:
-            session = Session.connect(door, maximum)
+            session = Session.connect(door, maximum, timeout=_PATIENCE)
         except UserError:
             continue  # nobody listens yet
         with session:

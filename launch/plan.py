@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from otc_dist.bus.keys import HOST, Keys
+from otc_dist.bus.keys import HOST, Keys, Uses
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
@@ -18,6 +18,7 @@ from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
 from . import forecast
+from .place import Place
 
 # Bytes of one float32 number in a log, of one float64 of state; parameters in a checkpoint.
 _CHECKPOINT_BYTES = 2_000_000  # networks of Table 3's sizes, their targets and optimizers
@@ -25,13 +26,11 @@ _CHECKPOINT_BYTES = 2_000_000  # networks of Table 3's sizes, their targets and 
 
 @dataclass(frozen=True)
 class Process:
-    """One process: what the supervisor starts, and what it says and hears on the bus."""
+    """One process: what the supervisor starts, and what it does on the bus."""
 
     name: str
     command: tuple[str, ...]
-    publishes: tuple[str, ...]
-    hears: tuple[str, ...]
-    answers: tuple[str, ...]
+    uses: Uses
 
 
 @dataclass(frozen=True)
@@ -41,33 +40,54 @@ class Plan:
     description: Description
     folder: RunFolder
     spec: TeamSpec
-    processes: tuple[Process, ...]
+    processes: tuple[Process, ...]  # those of this machine
+    place: Place
 
     @property
     def parts(self) -> list[forecast.Part]:
         return forecast.parts(self.description, len(self.spec.agents))
 
     @property
-    def data_folder(self) -> Path:
-        """Where B_0 and its card lie."""
+    def learners(self) -> tuple[str, ...]:
+        """The agents that learn on this machine."""
+        return tuple(process.name for process in self.processes if process.name != HOST)
+
+    @property
+    def watched(self) -> tuple[str, ...]:
+        """The agents whose statuses are looked at: who learns here, or all where the host is."""
+        return self.spec.names if self.place.role != "learner" else self.learners
+
+    @property
+    def data_folder(self) -> Path | None:
+        """Where B_0 and its card lie; None where no agent learns."""
+        if not self.learners:
+            return None
         dataset = self.description.dataset
-        return store.agent_file(dataset.name, self.spec.names[0], dataset.transitions).parent
+        return store.agent_file(dataset.name, self.learners[0], dataset.transitions).parent
 
     @property
     def preparations(self) -> dict[str, tuple[str, ...]]:
         """What is done before the processes start, each by a command: B_0, and compiled code."""
+        if self.place.role == "host":
+            return {}
         dataset, module = self.description.dataset, (sys.executable, "-m")
-        size = str(dataset.transitions)
+        make = (*module, "otc_dist.datasets", "make", dataset.name)
+        own = (self.place.agent,) if self.place.agent else ()
         steps: dict[str, tuple[str, ...]] = {
-            "data": (*module, "otc_dist.datasets", "make", dataset.name, "--transitions", size)
+            "data": (
+                *(*make, "--transitions", str(dataset.transitions)),
+                *(("--agent", *own) if own else ()),
+            )
         }
         if self.description.engine.name != "eager":
-            steps["compile"] = (*module, "otc_dist.launch.compile", str(self.folder.root))
+            steps["compile"] = (*module, "otc_dist.launch.compile", str(self.folder.root), *own)
         return steps
 
     @property
     def conclusions(self) -> dict[str, tuple[str, ...]]:
         """What is done when the processes have ended, each by a command: the report."""
+        if self.place.role == "learner":
+            return {}
         return {"report": (sys.executable, "-m", "otc_dist.report", str(self.folder.root))}
 
     @property
@@ -87,7 +107,7 @@ class Plan:
         yield f"{d.name}: {d.summary}" if d.summary else d.name
         yield f"run folder   {self.folder.root}"
         yield f"data         {d.dataset.name}, {d.dataset.transitions:,} transitions an agent"
-        for agent in self.spec.names:
+        for agent in self.learners:
             path = store.agent_file(d.dataset.name, agent, d.dataset.transitions)
             state = "cached" if path.exists() else "to be made"
             yield f"  {agent:10} {path} ({state})"
@@ -107,38 +127,26 @@ class Plan:
         yield "processes"
         for process in self.processes:
             yield f"  {process.name}: {shlex.join(process.command)}"
-            yield from (f"      says    {key}" for key in process.publishes)
-            yield from (f"      hears   {key}" for key in process.hears)
-            yield from (f"      answers {key}" for key in process.answers)
+            for does, keys in vars(process.uses).items():
+                yield from (f"      {does:9} {key}" for key in keys)
         seconds = sum(part.seconds for part in self.parts)
         yield f"time         about {forecast.duration(seconds)}, and what the data take to make"
 
 
-def make(description: Description, folder: RunFolder, run: str) -> Plan:
+def make(description: Description, folder: RunFolder, run: str, place: Place) -> Plan:
     """The plan of a resolved description, `run` being its name on the bus.
 
     Raises:
         UserError: an unknown environment.
     """
     spec, keys = registry.team_spec(description.env.id), Keys(run)
-    host = Process(
-        HOST,
-        (sys.executable, "-m", "otc_dist.services.env_host", "--run", str(folder.root)),
-        (*(keys.observation(agent) for agent in spec.names), keys.status(HOST)),
-        (*(keys.action(agent) for agent in spec.names),),
-        (*(keys.history(agent) for agent in spec.names), keys.spec),
-    )
-    learners = tuple(
-        Process(
-            agent,
-            (
-                *(sys.executable, "-m", "otc_dist.services.learner"),
-                *("--run", str(folder.root), "--agent", agent),
-            ),
-            (keys.action(agent), keys.status(agent)),
-            (keys.observation(agent),),
-            (),
-        )
-        for agent in spec.names
-    )
-    return Plan(description, folder, spec, (host, *learners))
+
+    def process(name: str) -> Process:
+        host = name == HOST
+        module = "otc_dist.services.env_host" if host else "otc_dist.services.learner"
+        whose = () if host else ("--agent", name)
+        command = (sys.executable, "-m", module, "--run", str(folder.root), *whose)
+        uses = keys.host_uses(spec.names) if host else keys.learner_uses(name)
+        return Process(name, (*command, *place.flags(name)), uses)
+
+    return Plan(description, folder, spec, tuple(map(process, place.processes(spec))), place)

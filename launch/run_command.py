@@ -2,17 +2,25 @@
 
 import argparse
 import errno
+import sys
 from contextlib import ExitStack
 from pathlib import Path
 
 from otc_dist.description import Description
+from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
 from . import descriptions, plan, run_record
 from .conduct import conduct
 from .parser import Parser
+from .place import Place
 from .resolve import resolve
+
+INSECURE = (
+    "WARNING: --insecure: nothing on the network is encrypted or checked; whoever reaches the"
+    " endpoint can read this run, act in it and end it"
+)
 
 
 def main(argv: list[str]) -> int:
@@ -46,20 +54,27 @@ def main(argv: list[str]) -> int:
 def _start(arguments: argparse.Namespace) -> int:
     quick: bool = arguments.quick
     chosen = descriptions.load(arguments.description, arguments.set, arguments.seed, quick)
+    place = Place.of(arguments, chosen, registry.team_spec(chosen.env.id))
     description = resolve(chosen)
-    label = "-quick" if quick else ""
-    out: Path = arguments.out or Path("runs") / f"{description.name}{label}-seed{description.seed}"
+    quickly, whose = "-quick" if quick else "", f"-{place.agent}" if place.agent else ""
+    name = f"{description.name}{quickly}-seed{description.seed}{whose}"
+    out: Path = arguments.out or Path("runs") / name
+    planned = plan.make(description, RunFolder(out.resolve()), out.name, place)
     if arguments.dry_run:
-        planned = plan.make(description, RunFolder(out.resolve()), out.name)
         if quick:
             print(descriptions.QUICK_LABEL)
         print("\n".join(planned.lines()))
         return 0
-    planned = plan.make(description, RunFolder(out.resolve()), out.name)
+    if place.insecure:
+        print(INSECURE, file=sys.stderr)
+    if place.role != "all" and planned.folder.run_json.exists():
+        with run_record.locked(planned.folder):
+            record = run_record.rejoin(planned.folder, description, place)
+            return conduct(plan.make(description, planned.folder, record.run, place), record)
     folder = run_record.make_folder(out, planned.disk_bytes)
     with run_record.locked(folder):
-        record = run_record.create(folder, description, quick)
-        return conduct(plan.make(description, folder, record.run), record)
+        record = run_record.create(folder, description, quick, place)
+        return conduct(plan.make(description, folder, record.run, place), record)
 
 
 def _resume(arguments: argparse.Namespace) -> int:
@@ -72,6 +87,7 @@ def _resume(arguments: argparse.Namespace) -> int:
             ("--out", arguments.out),
             ("--quick", arguments.quick),
             ("--dry-run", arguments.dry_run),
+            ("--role", arguments.role),
         )
         if value
     ]
@@ -82,7 +98,7 @@ def _resume(arguments: argparse.Namespace) -> int:
         run_record.RunRecord.read(folder)  # a folder without one is not a run's: no lock in it
         stack.enter_context(run_record.locked(folder))
         record, description = run_record.reopen(folder)
-        return conduct(plan.make(description, folder, record.run), record)
+        return conduct(plan.make(description, folder, record.run, record.place), record)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -102,6 +118,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--resume", type=Path, metavar="RUN", help="go on with an unfinished run")
     parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
     parser.add_argument("--dry-run", action="store_true", help="print what would run, and stop")
+    hosts = parser.add_argument_group("on several hosts (see docs/hosts.md)")
+    hosts.add_argument("--role", choices=["host", "learner"], help="start this part only")
+    hosts.add_argument("--agent", metavar="NAME", help="whose learner, as agent_0")
+    hosts.add_argument("--listen", metavar="ENDPOINT", help="of the host, as tls/0.0.0.0:7447")
+    hosts.add_argument("--connect", metavar="ENDPOINT", help="to the host, as tls/192.0.2.1:7447")
+    hosts.add_argument("--certs", type=Path, metavar="DIR", help="what otc_dist.certs has made")
+    hosts.add_argument("--insecure", action="store_true", help="no TLS: anybody may read and write")
     parser.add_argument("--list", action="store_true", help="list the shipped descriptions")
     return parser
 

@@ -9,7 +9,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,8 +20,11 @@ from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
+from .place import Place
+
 State = Literal["running", "stopped", "failed", "finished"]
 # What can change a run's bits. A run goes on only with the versions that it began with.
+_ODD = r"[^A-Za-z0-9_.-]"  # in a name
 PACKAGES = ("torch", "mujoco", "numpy", "scipy", "eclipse-zenoh", "mcap")
 
 
@@ -37,6 +40,7 @@ class RunRecord:
     state: State = "running"
     finished: str | None = None  # UTC, ISO 8601
     quick: bool = False
+    place: Place = field(default_factory=Place)  # what of the run this folder is of
     resumed: tuple[str, ...] = ()  # when --resume went on with it
 
     def write(self, folder: RunFolder) -> None:
@@ -56,7 +60,8 @@ class RunRecord:
         """Raises UserError if the folder is no run's, or its run.json is damaged."""
         try:
             fields = json.loads(folder.run_json.read_text(encoding="utf-8"))
-            return cls(**{**fields, "resumed": tuple(fields["resumed"])})
+            place = Place(**fields.get("place", {}))
+            return cls(**{**fields, "resumed": tuple(fields["resumed"]), "place": place})
         except FileNotFoundError:
             raise UserError(f"{folder.root} is no run folder: it has no run.json") from None
         except (OSError, ValueError, TypeError, KeyError) as error:
@@ -78,24 +83,33 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def create(folder: RunFolder, description: Description, quick: bool) -> RunRecord:
+def create(folder: RunFolder, description: Description, quick: bool, place: Place) -> RunRecord:
     """Write a new run's description.toml and run.json."""
     started = _now()
-    # Part of the bus's keys, where no wildcard or slash may stand; told apart by place and time,
-    # should two runs of one name meet on a shared router.
-    plain = re.sub(r"[^A-Za-z0-9_.-]", "_", folder.root.name)
-    digest = hashlib.blake2b(f"{folder.root}{started}".encode(), digest_size=3).hexdigest()
     record = RunRecord(
-        run=f"{plain}-{digest}",
+        run=_bus_name(folder, description, place, started),
         description=description.digest(),
         command=["python", "-m", "otc_dist.launch", *sys.argv[1:]],
         versions=versions(),
         started=started,
         quick=quick,
+        place=place,
     )
     folder.description.write_text(description.to_toml(), encoding="utf-8")
     record.write(folder)
     return record
+
+
+def _bus_name(folder: RunFolder, description: Description, place: Place, started: str) -> str:
+    """The run's name in the bus's keys, where no wildcard or slash may stand.
+
+    Hosts that know of each other nothing but the description must come to the same name; a run on
+    one machine is told apart by folder and time, should two of one name meet on a router.
+    """
+    if place.role != "all":
+        return re.sub(_ODD, "_", f"{description.name}-seed{description.seed}")
+    digest = hashlib.blake2b(f"{folder.root}{started}".encode(), digest_size=3).hexdigest()
+    return f"{re.sub(_ODD, '_', folder.root.name)}-{digest}"
 
 
 def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
@@ -122,6 +136,20 @@ def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
             )
     record = replace(record, resumed=(*record.resumed, _now()))
     return record.moved_to("running", folder), description
+
+
+def rejoin(folder: RunFolder, description: Description, place: Place) -> RunRecord:
+    """The record of this part of a run to go on with, whose endpoints may have changed.
+
+    Raises:
+        UserError: as `reopen`, or the folder is of another description or of another part.
+    """
+    before = RunRecord.read(folder)
+    part = (before.description, before.place.role, before.place.agent)
+    if part != (description.digest(), place.role, place.agent):
+        raise UserError(f"{folder.root} is of another run, or of another part; use another --out")
+    record, _ = reopen(folder)
+    return replace(record, place=place).moved_to("running", folder)
 
 
 @contextmanager

@@ -1,8 +1,12 @@
 """The one exception whose message is meant for the user, not for a developer."""
 
+import contextlib
 import difflib
+import os
 import sys
+import threading
 from collections.abc import Callable, Iterable
+from typing import NoReturn
 
 
 class UserError(Exception):
@@ -29,4 +33,17 @@ def run_main(main: Callable[[list[str]], int]) -> None:
     except BrokenPipeError:  # the reader of our output (`| head`) has gone
         sys.stderr.close()
         status = 141
+    leave(status)
+
+
+def leave(status: int) -> NoReturn:
+    """Exit; at once where a session is still closing on a thread of its own.
+
+    A daemon thread that comes back from compiled code would abort the interpreter's own clean-up.
+    """
+    if any(thread.daemon for thread in threading.enumerate()):
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(status)
     sys.exit(status)

@@ -3,10 +3,8 @@
 import argparse
 import json
 import logging
-import os
 import signal
 import sys
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +17,9 @@ from otc_dist.bus.keys import OBSERVER, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.replies import RunSpec, history_rows
-from otc_dist.bus.session import CLOSING
 from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
-from otc_dist.errors import UserError
+from otc_dist.errors import UserError, leave
 from otc_dist.exploration import Schedule
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
@@ -89,7 +86,7 @@ class Run:
     @property
     def spec(self) -> RunSpec:
         """What env host and learners must agree on."""
-        return RunSpec(self.team.env_id, self.team.agents, self.description.digest())
+        return RunSpec(self.team.env_id, self.team.agents, self.description.shared_digest())
 
     @property
     def maximum_payload(self) -> int:
@@ -164,12 +161,7 @@ def serve(body: Callable[[], None]) -> None:
     except _StoppedError as stopped:
         print(f"stopped by {signal.Signals(stopped.number).name}", file=sys.stderr)
         status = 128 + stopped.number
-    if any(thread.name == CLOSING for thread in threading.enumerate()):
-        # A session that is still closing would end the interpreter's own clean-up by an abort.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
-    sys.exit(status)
+    leave(status)
 
 
 def _stop(number: int, _: FrameType | None) -> None:

@@ -175,6 +175,7 @@ OTHER = {
     "sampling.normaliser": "paper",
     "engine.name": "eager",
     "embedding.hidden": [3],
+    "bus.router": "tls/192.0.2.1:7447",
 }
 OFFLINE = ("seed", "env.id", "dataset", "algorithm", "embedding", "offline", "engine")
 
@@ -197,6 +198,8 @@ def test_digests_depend_on_every_setting_and_the_offline_one_on_its_own(path: st
     if value is None or path == "algorithm.target_rate" or path == "deployment.fraction":
         value = 0.5
     after = before.with_assignments(f"{path}={json.dumps(value)}")
-    assert after.digest() != before.digest()
+    assert (after.digest() != before.digest()) is (path != "bus.router")
+    hosts_agree = path in ("bus.router", "engine.name")
+    assert (after.shared_digest() == before.shared_digest()) is hosts_agree
     offline = path.startswith(OFFLINE)
     assert (after.offline_digest() != before.offline_digest()) is offline

@@ -19,7 +19,6 @@ Put = Callable[[bytes], None]
 Receive = Callable[[bytes], None]
 Query = Callable[[Mapping[str, str]], bytes]
 
-CLOSING = "closing"  # name of the thread in which a session closes
 _INBOX_SIZE = 256  # messages
 _WAKE_PERIOD = 0.05  # seconds
 _ATTEMPT = 2.0  # seconds until it is asked why a link does not come about
@@ -230,7 +229,7 @@ class Session:
         if self._waker.is_alive():
             self._waker.join()
         # zenoh#2675: closing may block for about 10 s when a link is lossy.
-        closing = threading.Thread(target=self._session.close, name=CLOSING, daemon=True)
+        closing = threading.Thread(target=self._session.close, name="closing", daemon=True)
         closing.start()
         closing.join(timeout=2.0)
 

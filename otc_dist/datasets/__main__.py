@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
         _list()
     elif arguments.command == "make":
         with progress.shown(f"making {arguments.name}", "transitions") as report:
-            card = store.ensure(arguments.name, arguments.transitions, report)
+            card = store.ensure(arguments.name, arguments.transitions, report, arguments.agent)
         print(describe(card))
     elif arguments.command == "show":
         print(describe(_cached(arguments.name, arguments.transitions)))
@@ -72,6 +72,13 @@ def _parser() -> argparse.ArgumentParser:
             metavar="N",
             help="size, if not the usual one, which `list` tells",
         )
+    make.add_argument(
+        "--agent",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="keep this agent's file only, on a machine where no other learns; may be repeated",
+    )
     importing = commands.add_parser(
         "import",
         help="import a D4RL file or a Minari data set",

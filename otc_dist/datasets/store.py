@@ -9,6 +9,7 @@ all of it is on the disk.
 """
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -45,19 +46,31 @@ def agent_file(name: str, agent: str, transitions: int = 0) -> Path:
     return parsed.set_folder(transitions) / f"{agent}.safetensors"
 
 
-def ensure(name: str, transitions: int = 0, report: Report = silent) -> DatasetCard:
+def ensure(
+    name: str, transitions: int = 0, report: Report = silent, agents: Sequence[str] = ()
+) -> DatasetCard:
     """The data set, verified by its hashes; made first if it is absent, damaged or outdated.
 
     Two processes may ask for the same set at once: one makes it, the other waits.
 
+    Args:
+        agents: whose files are needed on this machine, beside those that are there; empty:
+            everybody's.
+
     Raises:
-        UserError: unknown name or size, a damaged imported set, no space or no right to write.
+        UserError: unknown name, size or agent, a damaged imported set, no space or no right to
+            write.
     """
     parsed = DatasetName.parse(name)
+    everybody = registry.team_spec(parsed.env_id).names
+    for agent in agents:
+        if agent not in everybody:
+            raise unknown("agent", agent, everybody)
+    wanted = set(agents or everybody)
     folder = parsed.set_folder(transitions)
     source = parsed.source
     if source is None:
-        return _imported(folder)
+        return _imported(folder, wanted)
     recipe = {  # all that determines the rows
         "level": parsed.level,
         "seed": str(_SEED),
@@ -65,12 +78,14 @@ def ensure(name: str, transitions: int = 0, report: Report = silent) -> DatasetC
         **source.recipe(parsed.env_id, parsed.level),
     }
     card, _ = _inspect(folder, recipe)
-    if card is not None:
+    if card is not None and wanted <= set(card.files):
         return card
     with locked(parsed):
         card, fault = _inspect(folder, recipe)
-        if card is not None:  # another process made it while we waited
-            return card
+        if card is not None:
+            if wanted <= set(card.files):  # another process made it while we waited
+                return card
+            wanted |= set(card.files)
         if fault is not None:
             _log.warning("making %s again: %s", folder, fault)
         made = generate.generate(parsed.env_id, parsed.level, int(folder.name), _SEED, report)
@@ -83,14 +98,16 @@ def ensure(name: str, transitions: int = 0, report: Report = silent) -> DatasetC
         )
         origin = f"made by otc_dist, seed {_SEED}"
         provenance = Provenance(origin, recipe, versions(*source.packages), returns, incomplete)
-        return publish(parsed, made, provenance)
+        return publish(parsed, made, provenance, sorted(wanted))
 
 
-def _imported(folder: Path) -> DatasetCard:
+def _imported(folder: Path, wanted: set[str]) -> DatasetCard:
     card = DatasetCard.read(folder)
     fault = card.fault(folder) if card else "its card is missing or damaged"
     if card is None or fault:
         raise UserError(f"{fault}; delete {folder} and import the data set again")
+    if missing := sorted(wanted - set(card.files)):
+        raise UserError(f"{folder} has no file of {missing[0]}: import {missing[0]}.safetensors")
     return card
 
 

@@ -6,7 +6,7 @@ import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -81,8 +81,13 @@ def locked(name: DatasetName) -> Iterator[None]:
         os.close(handle)
 
 
-def publish(name: DatasetName, data: JointTransitions, made: Provenance) -> DatasetCard:
+def publish(
+    name: DatasetName, data: JointTransitions, made: Provenance, agents: Sequence[str] = ()
+) -> DatasetCard:
     """Write a data set, all of it or nothing; the caller holds `locked`.
+
+    Args:
+        agents: whose files are written; empty: everybody's.
 
     Raises:
         UserError: the disk is full or cannot be written.
@@ -93,7 +98,7 @@ def publish(name: DatasetName, data: JointTransitions, made: Provenance) -> Data
         staging = Path(tempfile.mkdtemp(prefix=_STAGING, dir=name.folder))
         try:
             staging.chmod(0o755)
-            card = _write(staging, name, data, made)
+            card = _write(staging, name, data, made, agents)
             if folder.exists():  # damaged or outdated: open files of it stay readable
                 folder.rename(staging / "replaced")
             staging.rename(folder)
@@ -106,10 +111,12 @@ def publish(name: DatasetName, data: JointTransitions, made: Provenance) -> Data
 
 
 def _write(
-    folder: Path, name: DatasetName, data: JointTransitions, made: Provenance
+    folder: Path, name: DatasetName, data: JointTransitions, made: Provenance, agents: Sequence[str]
 ) -> DatasetCard:
     files = {}
     for index, agent in enumerate(registry.team_spec(name.env_id).agents):
+        if agents and agent.name not in agents:
+            continue
         header = Header(
             format_version=FORMAT_VERSION,
             dataset=str(name),

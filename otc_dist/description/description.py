@@ -137,8 +137,15 @@ class Description(Section):
         return tomli_w.dumps(self.model_dump(mode="json"))
 
     def digest(self) -> str:
-        """Identifies the description: 16 hexadecimal digits of its canonical form's hash."""
-        return _hash(self.model_dump_json())
+        """Identifies the description: 16 hexadecimal digits of its canonical form's hash.
+
+        Without the router: where messages pass changes nothing in a run.
+        """
+        return _hash(self.model_dump_json(exclude={"bus": {"router"}}))
+
+    def shared_digest(self) -> str:
+        """Identifies what env host and learners must agree on: all but each host's own engine."""
+        return _hash(self.model_dump_json(exclude={"bus": {"router"}, "engine": True}))
 
     def offline_digest(self) -> str:
         """Identifies what the offline policy pi_0 depends on, as `digest` does the whole."""

@@ -130,8 +130,13 @@ class EngineSection(Section):
 
 
 class BusSection(Section):
-    """Limits of the messages between processes."""
+    """How processes meet, and limits of the messages between them."""
 
+    router: str = Field(
+        default="",
+        description="endpoint of a Zenoh router, as tls/192.0.2.1:7447, at which all processes meet"
+        " instead of at the env host",
+    )
     answer_deadline: float = Field(
         default=120.0,
         gt=0,

@@ -74,6 +74,22 @@ def test_the_same_set_has_the_same_hashes_everywhere(
     assert cards[0] == cards[1]
 
 
+def test_a_machine_where_one_agent_learns_keeps_that_agents_file_alone(cache: Path) -> None:
+    card = store.ensure(NAME, SIZE, agents=["agent_1"])
+    alone = store.agent_file(NAME, "agent_1", SIZE).read_bytes()
+    assert sorted(path.name for path in set_folder().iterdir()) == [
+        "agent_1.safetensors",
+        "card.json",
+    ]
+    store.ensure(NAME, SIZE, agents=["agent_0"])  # another's comes beside it
+    assert not store.agent_file(NAME, "agent_2", SIZE).exists()
+    whole = store.ensure(NAME, SIZE)
+    assert whole.files["agent_1"] == card.files["agent_1"]
+    assert store.agent_file(NAME, "agent_1", SIZE).read_bytes() == alone
+    with pytest.raises(UserError, match="unknown agent 'agent_7'"):
+        store.ensure(NAME, SIZE, agents=["agent_7"])
+
+
 def test_the_returns_are_of_complete_episodes(cache: Path) -> None:
     card, joint = store.ensure(NAME, SIZE), store.load_joint(NAME, SIZE)
     ids = np.unique(joint.episodes[joint.terminated])

@@ -13,6 +13,7 @@ from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.launch import descriptions, run_record
 from otc_dist.launch.__main__ import main
+from otc_dist.launch.place import Place
 from otc_dist.launch.resolve import resolve
 from otc_dist.run_folder import RunFolder
 
@@ -97,7 +98,7 @@ def _tiny() -> Description:
 def run(tmp_path: Path) -> RunFolder:
     """A run that was begun and not finished."""
     folder = run_record.make_folder(tmp_path / "run", needed=0)
-    run_record.create(folder, resolve(_tiny()), quick=False)
+    run_record.create(folder, resolve(_tiny()), quick=False, place=Place())
     return folder
 
 

@@ -1,0 +1,134 @@
+"""Which part of a run is on this machine, and where it meets the rest."""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Self
+
+from otc_dist.bus.endpoints import Door, door, local_endpoint
+from otc_dist.bus.keys import HOST, OBSERVER
+from otc_dist.description import Description
+from otc_dist.errors import UserError, unknown
+from otc_dist.spec import TeamSpec
+
+Role = Literal["all", "host", "learner"]
+
+
+@dataclass(frozen=True)
+class Place:
+    """What one launcher starts, and by which endpoint; kept in run.json.
+
+    Attributes:
+        role: "all" processes, the env "host", or the "learner" of `agent`.
+        listen: endpoint of the env host for learners elsewhere; empty: none.
+        connect: endpoint that this launcher's processes connect to: of the env host, or of a
+            router; empty: the private socket of this machine.
+        certs: folder of certificates; empty: none.
+        router: whether `connect` is the description's router.
+    """
+
+    role: Role = "all"
+    agent: str = ""
+    listen: str = ""
+    connect: str = ""
+    certs: str = ""
+    insecure: bool = False
+    router: bool = False
+
+    @classmethod
+    def of(cls, arguments: argparse.Namespace, description: Description, team: TeamSpec) -> Self:
+        """What the command line asks for.
+
+        Raises:
+            UserError: see `_check`; or a flag that does not fit the role.
+        """
+        role: Role = arguments.role or "all"
+        if arguments.connect and role != "learner":
+            raise UserError(
+                "--connect is for --role learner; a router at which all processes meet is"
+                " described as bus.router"
+            )
+        router = description.bus.router
+        place = cls(
+            role=role,
+            agent=arguments.agent or "",
+            listen=arguments.listen or "",
+            connect=arguments.connect or router,
+            certs=str(arguments.certs.absolute()) if arguments.certs else "",
+            insecure=arguments.insecure,
+            router=bool(router) and not arguments.connect,
+        )
+        place._check(team)
+        return place
+
+    def _check(self, team: TeamSpec) -> None:
+        """Refuse what cannot work, before anything is written.
+
+        Raises:
+            UserError: a flag that is missing, or does not fit the role; a bad endpoint or
+                certificate.
+        """
+        if self.role == "learner":
+            if not self.agent:
+                raise UserError("--role learner needs --agent: whose learner? for example agent_0")
+            if self.listen:
+                raise UserError("--listen is for --role host; a learner needs --connect")
+            if not self.connect:
+                raise UserError(
+                    "--role learner needs --connect ENDPOINT, the env host's: for example"
+                    " tls/192.0.2.1:7447"
+                )
+        elif self.agent:
+            raise UserError("--agent is for --role learner")
+        if self.agent and self.agent not in team.names:
+            raise unknown("agent", self.agent, team.names)
+        if self.role == "host" and not self.listen and not self.connect:
+            raise UserError(
+                "--role host needs --listen ENDPOINT, for example tls/0.0.0.0:7447, or a router"
+            )
+        if self.role == "all" and self.listen:
+            raise UserError("--listen is for --role host: without a role all is on this machine")
+        if self.listen and self.connect:
+            raise UserError("a host that listens needs no router: leave out --listen or bus.router")
+        if not self.listen and not self.connect and (self.certs or self.insecure):
+            flag = "--certs" if self.certs else "--insecure"
+            raise UserError(f"{flag} is for runs on several hosts: on one, nobody else gets in")
+        for endpoint in filter(None, (self.listen, self.connect)):
+            for process in self.processes(team):
+                door(endpoint, process, self._folder, self.insecure)
+        if self.role != "learner" and self.connect:
+            self.observed_at(Path())
+
+    def processes(self, team: TeamSpec) -> tuple[str, ...]:
+        """Names of the processes that are started here."""
+        names = {"all": (HOST, *team.names), "host": (HOST,), "learner": (self.agent,)}
+        return names[self.role]
+
+    def flags(self, process: str) -> Iterator[str]:
+        """What the command line of a process says of where it meets the others."""
+        if self.connect:
+            yield from ("--connect", self.connect)
+        elif self.listen and process == HOST:
+            yield from ("--listen", self.listen)
+        else:
+            return
+        if self.certs:
+            yield from ("--certs", self.certs)
+        if self.insecure:
+            yield "--insecure"
+
+    def observed_at(self, run: Path) -> Door:
+        """Where the launcher itself looks on: as the learner that it starts, or as an observer."""
+        if not self.connect:
+            return Door(local_endpoint(run))
+        return door(self.connect, self.agent or OBSERVER, self._folder, self.insecure)
+
+    @property
+    def host_is_router(self) -> bool:
+        """Whether the env host's session carries the bus."""
+        return not self.router
+
+    @property
+    def _folder(self) -> Path | None:
+        return Path(self.certs) if self.certs else None
