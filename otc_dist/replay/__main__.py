@@ -18,6 +18,7 @@ EXAMPLES = """\
 examples:
   python -m otc_dist.replay runs/3agent_hopper-seed0/deployments/*.mcap
   python -m otc_dist.replay deployment_01.mcap --steps 100:200 --agent agent_1
+  python -m otc_dist.replay deployment_01.mcap --verify
   python -m otc_dist.replay damaged.mcap --recover --out whole.mcap
 """
 
@@ -57,6 +58,8 @@ _ACTIONS: tuple[_Action, ...] = (
         metavar="FORMAT",
         choices=tuple(FORMATS),
     ),
+    _Action("--html", "html", "one page that plays it in any browser", metavar="OUT.html"),
+    _Action("--verify", "verify", "check it, and play it again: every bit must come out as logged"),
     _Action("--recover", "recover", "write what is whole of a damaged or unfinished log anew"),
 )
 

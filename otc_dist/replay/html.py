@@ -1,0 +1,102 @@
+"""`--html OUT.html`: one file that plays a deployment in any browser, without a network."""
+
+import argparse
+import base64
+import json
+from html import escape
+from importlib import resources
+from pathlib import Path
+from string import Template
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from otc_dist.replay.output import claimed
+from otc_dist.replay.tape import Tape, selected_tape
+from otc_dist.scenes.scene import Scene, agent_colour
+
+_SECONDS = 0.05  # a step, where no scene says how long it takes
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the page of the selected steps and say where it is."""
+    out = Path(arguments.html)
+    with claimed(out, force=arguments.force) as path:
+        page = render(selected_tape(arguments))
+        path.write_text(page, encoding="utf-8")
+    print(out)
+    return 0
+
+
+def render(tape: Tape) -> str:
+    """The page."""
+    header = tape.header
+    steps = f"steps {tape.numbers[0]:,} to {tape.numbers[-1]:,}"
+    lead = (
+        f"{header.team.env_id} · {steps} of copy {tape.copy} · seed {header.seed}"
+        f" · otc_dist {header.versions.get('otc_dist', '?')}"
+    )
+    return Template(_part("page.html")).substitute(
+        title=escape(f"{header.run}, deployment {header.deployment}"),
+        lead=escape(lead),
+        style=_part("style.css"),
+        script=_part("viewer.js"),
+        # Within a script element nothing is unescaped, and "</script" would end it.
+        tape=json.dumps(_packed(tape), separators=(",", ":")).replace("<", "\\u003c"),
+    )
+
+
+def _part(name: str) -> str:
+    return resources.files("otc_dist.replay").joinpath("viewer", name).read_text(encoding="utf-8")
+
+
+def _packed(tape: Tape) -> dict[str, object]:
+    """The tape as the viewer reads it: arrays in base64, little-endian, in C order."""
+    return {
+        "seconds": tape.scene.seconds if tape.scene is not None else _SECONDS,
+        "numbers": _array(tape.numbers, "<i4"),
+        "episodes": _array(tape.episodes, "<i4"),
+        "rewards": _array(tape.rewards, "<f4"),
+        "returns": _array(tape.returns, "<f4"),
+        "exploring": _array(tape.exploring, "<u1"),
+        "agents": [
+            {
+                "name": agent.name,
+                "colour": agent_colour(place),
+                "choices": agent.choices,
+                "low": agent.action_low,
+                "high": agent.action_high,
+                "actions": _array(actions, "<f4"),
+            }
+            for place, agent, actions in zip(tape.places, tape.agents, tape.actions, strict=True)
+        ],
+        "scene": _scene(tape, tape.scene) if tape.scene is not None else None,
+    }
+
+
+def _scene(tape: Tape, scene: Scene) -> dict[str, object]:
+    frames, view = tape.frames(scene), scene.view
+    return {
+        "view": {
+            "centre": view.centre,
+            "width": view.width,
+            "height": view.height,
+            "outline": view.outline,
+            "follows": view.follows,
+        },
+        "bodies": [
+            {
+                "name": body.name,
+                "colour": body.colour,
+                "solid": body.solid,
+                "capsules": [(*c.start, *c.end, c.radius) for c in body.capsules],
+            }
+            for body in scene.bodies
+        ],
+        "poses": _array(frames.poses, "<f4"),
+        "levels": _array(frames.levels, "<f4"),
+    }
+
+
+def _array(values: ArrayLike, dtype: str) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype).tobytes()).decode()

@@ -1,0 +1,136 @@
+"""A part of a log as arrays over its steps: what pictures of it are made of."""
+
+import argparse
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otc_dist.deployment_log.header import LogHeader
+from otc_dist.deployment_log.open_log import OpenLog
+from otc_dist.deployment_log.reader import LogSummary, summarise
+from otc_dist.errors import UserError
+from otc_dist.replay.selection import Selection, select
+from otc_dist.scenes.families import find
+from otc_dist.scenes.scene import Frames, Scene
+from otc_dist.spec import AgentSpec
+from otc_dist.transitions import Bool, Float32, Float64
+
+
+@dataclass(frozen=True)
+class Tape:
+    """T steps of one copy and the N agents that are shown, in order; some may be missing between.
+
+    Attributes:
+        places: which of the team's agents they are.
+        numbers: (T,), of the steps.
+        episodes: (T,), which of the log's episodes a step belongs to, as `--episode` counts them.
+        states: (T, state_size), before the steps.
+        rewards: (T, N).
+        returns: (T, N), from the beginning of the episode up to and with the step.
+        actions: N x (T, action_size), as they were sent.
+        exploring: (T, N).
+        ended: (T,), whether the episode ended with the step.
+    """
+
+    header: LogHeader
+    copy: int
+    places: tuple[int, ...]
+    scene: Scene | None
+    numbers: NDArray[np.int64]
+    episodes: NDArray[np.int64]
+    states: Float64
+    rewards: Float64
+    returns: Float64
+    actions: tuple[Float32, ...]
+    exploring: Bool
+    ended: Bool
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @property
+    def agents(self) -> tuple[AgentSpec, ...]:
+        """The agents that are shown."""
+        return tuple(self.header.team.agents[place] for place in self.places)
+
+    def frames(self, scene: Scene) -> Frames:
+        """Where the bodies are before each step."""
+        return scene.frames(self.states)
+
+
+def selected_tape(arguments: argparse.Namespace) -> Tape:
+    """What the command line asks for.
+
+    Raises:
+        UserError: more than one file, or there are no such steps.
+    """
+    if len(arguments.files) > 1:
+        raise UserError(f"a picture is of one FILE, not of {len(arguments.files)}")
+    with OpenLog(arguments.files[0]) as log:
+        summary = summarise(log)
+        selection = select(arguments, summary)
+        if selection.start == selection.stop:
+            raise UserError(f"{log.path} has no steps to show")
+        return read_tape(log, summary, selection)
+
+
+def read_tape(log: OpenLog, summary: LogSummary, selection: Selection) -> Tape:
+    """The selected steps of the selected copy, or of the first one.
+
+    What lies before is read only as far back as the beginning of the episode, for its return.
+
+    Raises:
+        DamagedLogError: a step is damaged.
+    """
+    copy = selection.copy or 0
+    of_copy = [n for n, episode in enumerate(summary.episodes) if episode.copy == copy]
+    starts = np.array([summary.episodes[n].start for n in of_copy], np.int64)
+    before = int(np.searchsorted(starts, selection.start, "right")) - 1
+    begin = int(starts[before]) if before >= 0 else selection.start
+
+    team = log.header.team
+    places = tuple(selection.indices(team.names))
+    columns = _columns(log, places, begin, selection.stop, copy)
+    numbers = columns["step"].astype(np.int64)
+    which = np.searchsorted(starts, numbers, "right") - 1
+    rewards = np.stack([columns[f"rewards.{place}"] for place in places], 1).astype(np.float64)
+    wanted = numbers >= selection.start
+    return Tape(
+        header=log.header,
+        copy=copy,
+        places=places,
+        scene=find(team.env_id),
+        numbers=numbers[wanted],
+        episodes=np.array(of_copy, np.int64)[which[wanted]],
+        states=columns["state"][wanted],
+        rewards=rewards[wanted],
+        returns=_running(rewards, which)[wanted],
+        actions=tuple(columns[f"actions.{place}"][wanted] for place in places),
+        exploring=columns["exploring"][wanted][:, list(places)],
+        ended=(columns["terminated"] | columns["truncated"])[wanted],
+    )
+
+
+def _columns(
+    log: OpenLog, places: tuple[int, ...], start: int, stop: int, copy: int
+) -> dict[str, NDArray[Any]]:
+    """Fields of the steps, those of copies of one copy: (T, ...)."""
+    of_copy = ["state", "terminated", "truncated"]
+    of_copy += [f"{field}.{place}" for field in ("rewards", "actions") for place in places]
+    parts = []
+    for rows in log.blocks(start, stop):
+        part = {name: np.array(rows[name][:, copy]) for name in of_copy}
+        part["step"] = np.array(rows["step"])
+        part["exploring"] = log.layout.exploring(rows)
+        parts.append(part)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _running(rewards: Float64, which: NDArray[np.int64]) -> Float64:
+    """Sums of the rewards (T, N) within each episode up to and with the step."""
+    bounds = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(which)]
+    parts = [np.cumsum(rewards[low:high], axis=0) for low, high in pairwise(bounds)]
+    return np.concatenate(parts)

@@ -1,0 +1,49 @@
+"""Short deployments of real environments, played at random."""
+
+from pathlib import Path
+
+import numpy as np
+
+from otc_dist.deployment_log.header import LogHeader
+from otc_dist.deployment_log.writer import LogWriter
+from otc_dist.envs import registry
+from otc_dist.envs.rollout import Rollout
+from otc_dist.spec import AgentSpec
+from otc_dist.transitions import Float32, JointStep
+
+
+def play(
+    env_id: str, path: Path, steps: int, copies: int = 2, *, run: str = "", deployment: int = 2
+) -> list[JointStep]:
+    """Record a deployment at `path` and finish its log; its steps."""
+    env = registry.make(env_id, copies, 0.0)
+    header = LogHeader(
+        run=run or f"<{env_id}> & co",  # whoever puts it into a page has to escape it
+        deployment=deployment,
+        seed=5,
+        description="",
+        description_digest="0" * 16,
+        team=env.spec,
+        copies=copies,
+    )
+    rollout, rng = Rollout(env, 5, "deployment", deployment), np.random.default_rng(0)
+    writer = LogWriter.create(path, header)
+    played = []
+    for _ in range(steps):
+        actions = [
+            _action(agent, seen, rng)
+            for agent, seen in zip(env.spec.agents, rollout.observations, strict=True)
+        ]
+        played.append(rollout.advance(actions, (False,) * len(actions)))
+        writer.write(played[-1])
+    writer.finish({})
+    env.close()
+    return played
+
+
+def _action(agent: AgentSpec, seen: Float32, rng: np.random.Generator) -> Float32:
+    if agent.choices:
+        masks = seen[:, -agent.choices :]
+        return np.array([[rng.choice(np.flatnonzero(mask))] for mask in masks], np.float32)
+    low, high = np.array(agent.action_low), np.array(agent.action_high)
+    return rng.uniform(low, high, (len(seen), len(low))).astype(np.float32)
