@@ -68,17 +68,17 @@ class Entry:
 
 
 def entry(name: str, rounds: int) -> Entry:
-    assignments: tuple[str, ...] = (
+    assignments = [
         f"algorithm.name={name}",
         "sampling.name=uniform",
         "engine.name=compiled",
-    )
+    ]
     env_id = ENVS[sections()[name].discrete]
     if name == "bremen":  # they follow the updates, and are not timed
         assignments.append("algorithm.improvements=0")
     description = describe(env_id, rounds, *assignments)
     section, spec = description.algorithm, registry.team_spec(env_id).agents[0]
-    data, online = random_data(spec, OFFLINE, 0), random_data(spec, ONLINE, 1)
+    data, online = random_data(spec, OFFLINE[env_id], 0), random_data(spec, ONLINE, 1)
     say(f"compiling {name}, up to a minute the first time")
     learner = Learner(description, spec, data, registry.task(env_id))
     learner.pretrain(lambda progress: None, lambda: None)

@@ -3,10 +3,10 @@
     python benchmarks/memory.py [--only bcq,cql]
 
 For every algorithm, a process of its own does what a learner's does: it imports torch, from where
-on it counts, reads its agent's file of 402,000 transitions, makes some updates, trains the
-embedding, and tunes on a deployment by OTC. The code is compiled before, in another process, as
-the launcher does it. "now" is what the process holds in the end, "peak" the most that it ever
-held, both without what bare torch takes.
+on it counts, reads its agent's file of as many transitions as the shipped set has, makes some
+updates, trains the embedding, and tunes on a deployment by OTC. The code is compiled before, in
+another process, as the launcher does it. "now" is what the process holds in the end, "peak" the
+most that it ever held, both without what bare torch takes.
 """
 
 import argparse
@@ -36,14 +36,14 @@ def write_file(path: Path, env_id: str, spec: AgentSpec) -> None:
         dataset=f"{env_id}/random",
         env_id=env_id,
         agent=spec.name,
-        transitions=OFFLINE,
+        transitions=OFFLINE[env_id],
         observation_size=spec.observation_size,
         action_size=spec.action_size,
         origin="random numbers",
         versions={},
     )
-    data = random_data(spec, OFFLINE, 0)
-    path.write_bytes(agent_files.encode(header, data, np.zeros(OFFLINE, np.int64)))
+    data = random_data(spec, OFFLINE[env_id], 0)
+    path.write_bytes(agent_files.encode(header, data, np.zeros(OFFLINE[env_id], np.int64)))
 
 
 def learn(name: str, path: Path) -> dict[str, float]:
@@ -76,7 +76,9 @@ def held() -> float:
 
 
 def peak() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / MB
+    """The most that this process held, MB; `ru_maxrss` would count what its parent held too."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024 / MB
 
 
 def measured(name: str, folder: Path) -> dict[str, float]:

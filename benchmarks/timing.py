@@ -23,7 +23,8 @@ if TYPE_CHECKING:  # memory is counted from before torch's import
 
 UPDATES = 100  # a turn
 ENVS = {False: "hopper-3x1", True: "5m_vs_6m"}  # whose agents' sizes: by whether discrete
-OFFLINE, ONLINE = 402_000, 4_020  # |B_0| and M of Hopper's medium-replay
+OFFLINE = {"hopper-3x1": 402_000, "5m_vs_6m": 234_224}  # |B_0| of medium-replay, and of medium
+ONLINE = 4_020  # M of Hopper's medium-replay
 
 Turn = Callable[[int], float]  # milliseconds an update, of turn number 1, 2, ...
 

@@ -45,7 +45,7 @@ class Variant(Timed):
 
 def variants(env_id: str, rounds: int) -> list[Variant]:
     spec = registry.team_spec(env_id).agents[0]
-    offline, online = random_data(spec, OFFLINE, 0), random_data(spec, ONLINE, 1)
+    offline, online = random_data(spec, OFFLINE[env_id], 0), random_data(spec, ONLINE, 1)
 
     def learner(engine: str, *sampling: str) -> Turn:
         brain = Learner(describe(env_id, rounds, f"engine.name={engine}", *sampling), spec, offline)

@@ -24,9 +24,11 @@ class Cql:
     critic_rate: float
     tau: float
     weight: float
+    cloning: int = 0
     discount: float = 0.99
 
     def __post_init__(self) -> None:
+        self.updates = 0
         s, a, hidden = self.s, self.a, self.hidden
         self.actor = Network(s, hidden, 2 * a)
         self.critics = [Network(s + a, hidden, 1) for _ in range(2)]
@@ -79,8 +81,13 @@ class Cql:
         temperature_loss = -(self.log_temperature * (log_pi - self.a).detach()).mean()
         step(self.temperature_adam, temperature_loss)
         temperature = self.log_temperature.exp().detach()
-        q = torch.min(*(critic(s, new_a)[:, 0] for critic in self.critics))
-        actor_loss = (temperature * log_pi - q).mean()
+        self.updates += 1
+        if self.updates <= self.cloning:
+            mode = torch.tanh(self.actor(s)[:, : self.a])
+            wanted = -50 * ((a - mode) ** 2).sum(-1)
+        else:
+            wanted = torch.min(*(critic(s, new_a)[:, 0] for critic in self.critics))
+        actor_loss = (temperature * log_pi - wanted).mean()
 
         with torch.no_grad():
             next_a, _ = self.sample(next_s, noise["target"])

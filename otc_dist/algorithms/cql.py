@@ -23,6 +23,7 @@ from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
 
 LOG_STD_RANGE = (-5.0, 2.0)
+CLONE_STD = 0.1  # of the data's actions around the policy's while it clones; ours
 
 
 @dataclass(frozen=True)
@@ -33,10 +34,12 @@ class Cql(ActorCritic):
         actor_learning_rate: the temperature's as well, as in the authors' code.
         weight: w of the conservative term.
         action_samples: actions of each of the three kinds in the conservative term.
+        cloning: updates at the start in which the actor imitates the data.
     """
 
     weight: float
     action_samples: int
+    cloning: int
 
     metric_names: tuple[str, ...] = ("critic_loss", "actor_loss", "temperature", "q")
 
@@ -79,12 +82,13 @@ class Cql(ActorCritic):
         )
         temperature = new["log_temperature"].exp()
 
+        cloning = new["updates"] <= self.cloning
         new, actor_loss = descend(
             new,
             "actor",
             self.actor_learning_rate,
             lambda actor: self.actor_loss(
-                actor, state["critic"], temperature, batch.observation, noise["actor"]
+                actor, state["critic"], temperature, batch, noise["actor"], cloning
             ),
         )
 
@@ -113,13 +117,21 @@ class Cql(ActorCritic):
         actor: Tensor,
         critic: Tensor,
         temperature: Tensor,
-        observations: Tensor,
+        batch: Batch,
         noise: Tensor,
+        cloning: Tensor,
     ) -> Tensor:
-        """mean [temperature log pi(a|s) - min_j Q_j(s, a)], a ~ pi(s) (Haarnoja et al., 2018)."""
-        actions, log_density = sample_squashed(*self.policy(actor, observations), noise)
-        q = self.critics.minimum(critic, observations, actions)
-        return (temperature * log_density - q).mean()
+        """mean [temperature log pi(a'|s) - min_j Q_j(s, a')], a' ~ pi(s) (Haarnoja et al., 2018).
+
+        Where the scalar `cloning` holds, the log likelihood of the data's a, normal with
+        CLONE_STD around tanh(mu), stands in the place of Q (up to a constant).
+        """
+        policy = self.policy(actor, batch.observation)
+        actions, log_density = sample_squashed(*policy, noise)
+        q = self.critics.minimum(critic, batch.observation, actions)
+        error = ((batch.action - mode_squashed(policy[0])) ** 2).sum(-1)
+        wanted = torch.where(cloning, -error / (2 * CLONE_STD**2), q)
+        return (temperature * log_density - wanted).mean()
 
     def target(
         self, state: State, batch: Batch, there: tuple[Tensor, Tensor], noise: Tensor

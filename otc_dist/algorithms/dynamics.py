@@ -5,18 +5,17 @@ minibatches, and they differ by their initial weights, as in BREMEN's code, whic
 nothing either.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from otc_dist.algorithms.interface import Batch
+from otc_dist.algorithms.moments import moments
 from otc_dist.algorithms.networks import Mlp
 
-STD_OFFSET = 1e-3  # TD3+BC's: an entry that is constant in B_0 may change later
 PREDICTION_LIMIT = 1e5  # BREMEN's: keeps a diverging rollout finite
 
 
@@ -44,16 +43,16 @@ class Ensemble:
 
         The change is s' - s.
         """
-        parts = {
-            "observation": offline.observation,
-            "action": offline.action,
-            "change": offline.next_observation - offline.observation,
+        pairs = zip(offline.observation.T, offline.next_observation.T, strict=True)
+        parts: dict[str, Iterable[Tensor]] = {
+            "observation": offline.observation.T,
+            "action": offline.action.T,
+            "change": (after - before for before, after in pairs),
         }
         found = {}
-        for name, values in parts.items():
-            std, mean = torch.std_mean(values.double(), dim=0, correction=0)
-            found[f"{name}_mean"] = mean.float().numpy()
-            found[f"{name}_std"] = (std + STD_OFFSET).float().numpy()
+        for name, columns in parts.items():
+            mean, std = moments(columns)
+            found[f"{name}_mean"], found[f"{name}_std"] = mean.numpy(), std.numpy()
         return found
 
     def loss(self, models: Tensor, state: Mapping[str, Tensor], batch: Batch) -> Tensor:

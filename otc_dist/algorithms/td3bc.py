@@ -15,12 +15,12 @@ from torch.nn.functional import mse_loss
 from otc_dist.algorithms.critics import ActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.moments import moments
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak, when
 
 TARGET_NOISE = 0.2  # standard deviation of the noise on a', in units of the action bound
 NOISE_CLIP = 0.5
 POLICY_DELAY = 2  # updates of the critics to one of the policy and of all targets
-STD_OFFSET = 1e-3
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class Td3Bc(ActorCritic):
             "critic": self.critics.initialise(random),
             "actor": self.actor.initialise(random),
         }
-        std, mean = torch.std_mean(offline.observation.double(), dim=0, correction=0)
+        mean, std = moments(offline.observation.T)
         return {
             **fresh_state(networks, targets=("critic", "actor")),
-            "state_mean": mean.float().numpy(),
-            "state_std": (std + STD_OFFSET).float().numpy(),
+            "state_mean": mean.numpy(),
+            "state_std": std.numpy(),
         }
 
     def noise(self, batch_size: int) -> Mapping[str, Draw]:

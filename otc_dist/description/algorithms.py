@@ -93,6 +93,9 @@ class CqlSection(LargeSection):
     action_samples: int = Field(
         default=10, ge=1, description="actions of each kind in the conservative term"
     )
+    cloning: int = Field(
+        default=20_000, ge=0, description="first updates, in which the actor imitates the data"
+    )
 
 
 class DiscreteCqlSection(LargeSection):

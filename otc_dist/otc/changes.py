@@ -4,10 +4,10 @@ import torch
 from torch import Tensor
 
 from otc_dist.algorithms.interface import action_features, unpack
+from otc_dist.algorithms.moments import moments
 from otc_dist.transitions import RowLayout
 
 CHUNK = 65_536  # rows looked at at once
-EPSILON = 1e-3  # added to a standard deviation, which may be 0
 
 
 class Changes:
@@ -27,10 +27,7 @@ class Changes:
 
     def fit(self, rows: Tensor) -> None:
         """Take mean and standard deviation from packed rows (N, width) of B_0."""
-        columns = self._features(rows).T
-        moments = [torch.std_mean(column.double()) for column in columns]  # one at a time: memory
-        self._std = torch.stack([std for std, _ in moments]).float() + EPSILON
-        self._mean = torch.stack([mean for _, mean in moments]).float()
+        self._mean, self._std = moments(self._features(rows).T)
 
     def embed(self, rows: Tensor, out: Tensor) -> None:
         """Write the features of packed rows (N, width) to `out` (N, size); not before `fit`."""

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import torch
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.moments import moments
 from otc_dist.algorithms.networks import Mlp, adam, value_and_gradient
 
 ACTIVE_VARIANCE = 0.01  # a dimension of mu is active above this variance over the data
@@ -60,9 +60,8 @@ class Embedding:
             "updates": np.zeros((), dtype=np.float64),
         }
         for name, values in (("state", rows.observation), ("action", rows.action)):
-            std, mean = torch.std_mean(values.double(), dim=0)
-            state[f"{name}_mean"] = mean.float().numpy()
-            state[f"{name}_std"] = (std + 1e-3).float().numpy()
+            mean, std = moments(values.T)
+            state[f"{name}_mean"], state[f"{name}_std"] = mean.numpy(), std.numpy()
         return state
 
     def noise(self, batch_size: int) -> Mapping[str, Draw]:

@@ -38,7 +38,7 @@ SECTIONS: dict[str, Any] = {
 # Where the defaults would take time.
 SMALLER: dict[str, dict[str, object]] = {
     "bcq": {"acting_candidates": 7},
-    "cql": {"action_samples": 3},
+    "cql": {"action_samples": 3, "cloning": 4},
     "bremen": {"models": 2, "improvements": 1, "horizon": 3},
 }
 CHOICES = 4

@@ -28,6 +28,7 @@ def make(s: int, a: int, hidden: tuple[int, ...]) -> Cql:
         target_rate=0.05,
         weight=5.0,
         action_samples=6,
+        cloning=30,
     )
 
 
@@ -45,7 +46,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
     state, _ = start(cql, random)
     # Another target than the network, so that a mistaken use of either shows.
     state["critic_target"] = start(cql, random)[0]["critic"]
-    plain = references_cql.Cql(s, a, hidden, 3e-4, 5e-4, tau=0.05, weight=5.0)
+    plain = references_cql.Cql(s, a, hidden, 3e-4, 5e-4, tau=0.05, weight=5.0, cloning=30)
     plain.load(state)
     state = assert_equals_plain(cql, plain, state, (s, a))
 
