@@ -26,7 +26,7 @@ from otc_dist.deployment_log.record import CHANNEL_ID, RecordLayout, Rows
 from otc_dist.errors import UserError
 
 # What parsing bytes that were changed may raise, in the mcap library and below it.
-_PARSE_ERRORS = (
+PARSE_ERRORS = (
     McapError,
     struct.error,
     zstandard.ZstdError,
@@ -115,7 +115,7 @@ class OpenLog:
                 if entries is not None:
                     return LogHeader.from_entries(entries, self.path)
                 before = self._file.tell()
-        except _PARSE_ERRORS:
+        except PARSE_ERRORS:
             pass  # it ends too early, or what was changed does not parse
         raise DamagedLogError(self.path, "its header or its end is not readable")
 
@@ -155,7 +155,7 @@ class OpenLog:
                     self._file, skip_magic=True, record_size_limit=fmt.MAXIMUM_RECORD
                 ).records
             )
-        except _PARSE_ERRORS:
+        except PARSE_ERRORS:
             return {}
         return record.metadata if isinstance(record, Metadata) else {}
 
@@ -260,7 +260,7 @@ class OpenLog:
                 raise ValueError("no chunk")
             stream, length = get_chunk_data_stream(chunk, validate_crc=True)
             data = stream.read(length)
-        except (StopIteration, *_PARSE_ERRORS):
+        except (StopIteration, *PARSE_ERRORS):
             raise DamagedLogError(self.path, "a chunk does not match its checksum") from None
         prefix, size, found, at = self.layout.prefix, self.layout.size, [], 0
         while at < len(data):

@@ -99,12 +99,23 @@ class Description(Section):
             UserError: the file is missing, is no TOML, or holds an unknown key or a bad value.
         """
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
         except OSError as error:
             raise UserError(f"cannot read the description {path}: {error.strerror}") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except UnicodeDecodeError as error:
             raise UserError(f"{path} is not valid TOML: {error}") from None
-        return cls.build(data, assignments, source=str(path))
+        return cls.parse(text, assignments, source=str(path))
+
+    @classmethod
+    def parse(
+        cls, text: str, assignments: Iterable[str] = (), source: str = "description"
+    ) -> Self:
+        """As `load`, from TOML that `source` holds."""
+        try:
+            data = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise UserError(f"{source} is not valid TOML: {error}") from None
+        return cls.build(data, assignments, source=source)
 
     @classmethod
     def build(

@@ -145,6 +145,11 @@ class RobotEnv:
         self._warmstart[...] = state[:, 1 + 2 * joints :]
         self._moved()
 
+    @property
+    def versions(self) -> dict[str, str]:
+        """See `Versioned.versions`."""
+        return {"mujoco": mujoco.__version__}
+
     def close(self) -> None:
         """Nothing to release: the simulator's memory goes with the object."""
 

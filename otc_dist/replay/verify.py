@@ -1,0 +1,139 @@
+"""`--verify`: whether a log is whole, and whether what it says comes out again, to the bit."""
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from otc_dist.deployment_log.container import check_container
+from otc_dist.deployment_log.episodes import find_episodes
+from otc_dist.deployment_log.format import DamagedLogError
+from otc_dist.deployment_log.open_log import OpenLog
+from otc_dist.deployment_log.reader import LogSummary, summarise
+from otc_dist.description import Description
+from otc_dist.exploration import Schedule
+from otc_dist.progress import shown
+from otc_dist.replay import resimulation
+from otc_dist.replay.policies import check_policies
+from otc_dist.replay.selection import Selection, select
+from otc_dist.replay.summary import gaps
+from otc_dist.transitions import JointStep
+
+FAILED, APPROXIMATE = 1, 3  # exit statuses; 0: everything that could be checked holds to the bit
+_SHOWN = 5  # differences
+_SIGNS = {0: "ok", FAILED: "WRONG", APPROXIMATE: "close", None: "-"}
+
+Finding = tuple[int | None, str]  # a status and a sentence; None: there was nothing to check
+Steps = Callable[[], Iterator[JointStep]]
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check each file and print what was found; the worst status, FAILED before APPROXIMATE."""
+    statuses = set()
+    for path in arguments.files:
+        print(path, flush=True)
+        for status, text in _findings(arguments, path):
+            print(f"  {_SIGNS[status]:<6}{text}", flush=True)
+            statuses.add(status)
+    return FAILED if FAILED in statuses else APPROXIMATE if APPROXIMATE in statuses else 0
+
+
+def _findings(arguments: argparse.Namespace, path: Path) -> Iterator[Finding]:
+    try:
+        with OpenLog(path) as log:
+            summary = summarise(log)
+            selection = select(arguments, summary)
+            yield _integrity(log)
+            yield _sequence(summary)
+            yield _episodes(log, summary)
+            description = resimulation.description(log)
+            yield _length(summary, description)
+            yield from _simulation(log, _steps(log, selection, f"{path.name}: playing it again"))
+            names = log.header.team.names
+            indices = selection.indices(names)
+            steps = _steps(log, selection, f"{path.name}: acting again")
+            for verdict in check_policies(summary, description, indices, steps):
+                status = None if verdict.holds is None else 0 if verdict.holds else FAILED
+                yield status, f"{verdict.agent}: {verdict.text}"
+    except DamagedLogError as error:
+        yield FAILED, f"{error}; --recover writes what is whole to another file"
+
+
+def _steps(log: OpenLog, selection: Selection, doing: str) -> Steps:
+    """What gives the selected steps, with progress."""
+
+    def steps() -> Iterator[JointStep]:
+        total, done = selection.stop - selection.start, 0
+        with shown(doing, "steps") as report:
+            for rows in log.blocks(selection.start, selection.stop):
+                for step in log.layout.steps(rows):
+                    yield step
+                    done += 1
+                    report(done, max(total, done))
+
+    return steps
+
+
+def _integrity(log: OpenLog) -> Finding:
+    steps = sum(len(rows) for rows in log.blocks())
+    if not log.finished:
+        return 0, f"checksums of {steps:,} steps; it is unfinished, so there are no others"
+    return 0, f"checksums of {steps:,} steps, of {check_container(log.path)} chunks, of the file"
+
+
+def _sequence(summary: LogSummary) -> Finding:
+    missing = gaps(summary)
+    if missing != "none":
+        return FAILED, f"{missing} are missing"
+    return 0, f"steps 0 to {summary.end - 1:,} without a gap"
+
+
+def _length(summary: LogSummary, description: Description) -> Finding:
+    expected = Schedule.of(description, len(summary.header.team.agents)).steps
+    if summary.end == expected:
+        return 0, f"as many as its description asks for: {expected:,}"
+    status = FAILED if summary.finished else None
+    return status, f"{summary.end:,} steps, of {expected:,} that its description asks for"
+
+
+def _episodes(log: OpenLog, summary: LogSummary) -> Finding:
+    if not log.finished:
+        return None, "it is unfinished, so there is no table of episodes"
+    if find_episodes(log.blocks(), len(log.header.team.agents)) != summary.episodes:
+        return FAILED, "its table of episodes is not that of its steps"
+    return 0, f"table of {len(summary.episodes):,} episodes and their returns"
+
+
+def _simulation(log: OpenLog, steps: Steps) -> Iterator[Finding]:
+    env = resimulation.simulator(log)
+    try:
+        if others := resimulation.other_versions(log, env):
+            yield _one_step(resimulation.one_step_errors(steps, env), others)
+            return
+        found = resimulation.compare(log.header, steps(), env)
+    finally:
+        env.close()
+    if not found.differences:
+        yield (
+            0,
+            f"{found.episodes:,} episodes played again, {found.steps:,} steps: every observation,"
+            " reward and end, to the bit",
+        )
+    for difference in found.differences[:_SHOWN]:
+        where = f"step {difference.step:,}, copy {difference.copy}"
+        yield FAILED, f"played again, {where}: {difference.what} differs"
+    if (more := len(found.differences) - _SHOWN) > 0:
+        yield FAILED, f"{more:,} more of {found.episodes:,} episodes differ"
+
+
+def _one_step(errors: resimulation.OneStepErrors, others: list[str]) -> Finding:
+    exact = not (errors.observations.any() or errors.rewards.any() or errors.ends)
+    median, most, largest = np.percentile(errors.observations, (50, 95, 100))
+    return (
+        0 if exact else APPROXIMATE,
+        f"another simulator ({', '.join(others)}): {len(errors.observations):,} single steps from"
+        f" the logged states; observations are off by {median:.2g} standard deviations (median),"
+        f" {most:.2g} (95%), {largest:.2g} (most), rewards by {errors.rewards.max():.2g} at most,"
+        f" {errors.ends:,} ends differ",
+    )
