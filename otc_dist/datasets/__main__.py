@@ -8,7 +8,7 @@ from otc_dist import progress
 from otc_dist.cache import cache_root
 from otc_dist.datasets import store
 from otc_dist.datasets.card import DatasetCard, Summary
-from otc_dist.datasets.importers import import_file
+from otc_dist.datasets.importers import import_files
 from otc_dist.datasets.names import DatasetName, known_names
 from otc_dist.errors import UserError, run_main
 
@@ -21,7 +21,8 @@ Data sets we make have the name ENVIRONMENT/LEVEL, where LEVEL is
   medium-replay   a mixture of the policies on the way there, from the untrained one on
 Robots have all three, other tasks those that `list` tells. They are made by playing the behaviour
 policies that come with this package, once, and kept in the cache. The same name and size give the
-same bytes. They are not D4RL's; those, and Minari's, can be imported.
+same bytes. They are not D4RL's; those, and Minari's, can be imported, and so can deployment logs,
+to train from what an earlier run did.
 """
 EXAMPLES = """\
 examples:
@@ -31,6 +32,8 @@ examples:
   python -m otc_dist.datasets show hopper-3x1/medium
   python -m otc_dist.datasets import hopper_medium-v2.hdf5 --name d4rl-medium
   python -m otc_dist.launch 3agent_hopper --set dataset.name=hopper-3x1/d4rl-medium
+  python -m otc_dist.datasets import runs/3agent_hopper-seed0/deployments/*.mcap --name deployed
+  python -m otc_dist.launch 3agent_hopper --set dataset.name=hopper-3x1/deployed
 
 The cache is {cache}; set OTC_DIST_CACHE to keep it elsewhere.
 """
@@ -48,7 +51,7 @@ def main(argv: list[str]) -> int:
     elif arguments.command == "show":
         print(describe(_cached(arguments.name, arguments.transitions)))
     else:
-        print(describe(import_file(arguments.file, arguments.name, arguments.env)))
+        print(describe(import_files(arguments.files, arguments.name, arguments.env)))
     return 0
 
 
@@ -81,24 +84,32 @@ def _parser() -> argparse.ArgumentParser:
     )
     importing = commands.add_parser(
         "import",
-        help="import a D4RL file or a Minari data set",
-        description="Import a recording of single-agent play, and split its action vector among "
-        "the agents. Transitions without a known true successor s' are dropped, and counted.",
+        help="import deployment logs, a D4RL file or a Minari data set",
+        description="Import deployment logs of one environment, joined, or a recording of "
+        "single-agent play, whose action vector is split among the agents. Of unfinished or "
+        "damaged logs what is intact is taken, and from others' recordings transitions without a "
+        "known true successor s' are dropped; the data set's notes tell.",
     )
     importing.add_argument(
-        "file",
+        "files",
         type=Path,
+        nargs="+",
         metavar="FILE",
-        help="a D4RL HDF5 file, or a Minari data set (its folder or its main_data.hdf5)",
+        help="deployment logs (RUN/deployments/*.mcap); or one D4RL HDF5 file or Minari data set "
+        "(its folder or its main_data.hdf5)",
     )
     importing.add_argument(
-        "--name", required=True, metavar="WORD", help="the data set is then ENVIRONMENT/WORD"
+        "--name",
+        default="",
+        metavar="WORD",
+        help="the data set is then ENVIRONMENT/WORD; default: the name of the logs' run",
     )
     importing.add_argument(
         "--env",
         default="",
         metavar="ENVIRONMENT",
-        help="for example hopper-3x1; default: the team of the robot that FILE names",
+        help="for example hopper-3x1; default: what the logs say, or the team of the robot that "
+        "FILE names",
     )
     return parser
 

@@ -1,10 +1,15 @@
-"""Import recordings that others made: D4RL's HDF5 files and Minari's data sets."""
+"""Import recordings: D4RL's HDF5 files, Minari's data sets, and our own deployment logs."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from otc_dist.datasets import d4rl, hdf5, minari
 from otc_dist.datasets.card import DatasetCard, episode_returns, file_sha256
+from otc_dist.datasets.joint import JointTransitions
+from otc_dist.datasets.log_import import is_log, read_logs
 from otc_dist.datasets.names import DatasetName, plain
 from otc_dist.datasets.recording import Recording, split
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
@@ -15,6 +20,58 @@ from otc_dist.spec import TeamSpec
 
 if TYPE_CHECKING:
     import h5py
+
+
+def import_files(sources: Sequence[Path], level: str = "", env_id: str = "") -> DatasetCard:
+    """Import deployment logs, joined, or one file of another kind; see those functions.
+
+    Raises:
+        UserError: as they do; several files that are not all logs, no level where one is needed.
+    """
+    if all(map(is_log, sources)):
+        return import_logs(sources, level, env_id)
+    first = next(source for source in sources if not is_log(source))
+    if len(sources) > 1:
+        raise UserError(f"{first} is no deployment log, and only those are joined: import it alone")
+    if not level:
+        raise UserError(f"say what the data of {first} shall be called, for example --name mine")
+    return import_file(first, level, env_id)
+
+
+def import_logs(sources: Sequence[Path], level: str = "", env_id: str = "") -> DatasetCard:
+    """Import deployment logs as the data set `<env_id>/<level>` and return its card.
+
+    To import the same files again changes nothing.
+
+    Args:
+        level: the name after the slash; "": the name of the run that the logs are of.
+        env_id: what the logs were recorded in, if it shall be checked.
+
+    Raises:
+        UserError: as `read_logs`; logs of several runs and no level; another environment than
+            `env_id`; a name that is taken; a full disk.
+    """
+    logged = read_logs(sources)
+    team, data = logged.team, logged.data
+    if env_id not in ("", team.env_id):
+        raise UserError(f"{sources[0]} was recorded in {team.env_id}, not in {env_id}")
+    if not level and len(logged.runs) > 1:
+        raise UserError(f"these are logs of {len(logged.runs)} runs: say --name for what they make")
+    name = _name(team.env_id, level or logged.runs[0])
+    if not len(data):
+        raise UserError(f"{sources[0]}: there is no whole step in it")
+    begun = logged.begun
+    returns, incomplete = episode_returns(
+        np.stack(data.rewards).mean(axis=0, dtype=np.float64)[begun],
+        data.terminated[begun],
+        data.truncated[begun],
+        data.episodes[begun],
+        team.max_episode_steps,
+    )
+    incomplete += len(np.unique(data.episodes[~begun]))
+    origin = f"deployment logs of {', '.join(logged.runs)}"
+    made = Provenance(origin, logged.recipe, versions("mcap"), returns, incomplete, logged.notes)
+    return _publish(name, data, made)
 
 
 def import_file(source: Path, level: str, env_id: str = "") -> DatasetCard:
@@ -52,12 +109,17 @@ def import_file(source: Path, level: str, env_id: str = "") -> DatasetCard:
     )
     origin = f"imported from {path.name}"
     made = Provenance(origin, recipe, versions("h5py", "mujoco"), returns, incomplete, notes)
+    return _publish(name, data, made)
+
+
+def _publish(name: DatasetName, data: JointTransitions, made: Provenance) -> DatasetCard:
+    """Write the data set, or find it there from the same sources."""
     with locked(name):
         if not name.sizes():
             return publish(name, data, made)
         folder = name.set_folder()
         card = DatasetCard.read(folder)
-        if card is None or card.recipe != recipe or card.fault(folder):
+        if card is None or card.recipe != made.recipe or card.fault(folder):
             raise UserError(
                 f"{name} is there already, from another file or damaged; "
                 f"choose another --name, or delete {name.folder}"
