@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
+from otc_dist.datasets.importers import import_files
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.run_record import RunRecord
 from otc_dist.run_folder import RunFolder
@@ -166,3 +167,24 @@ def test_sigterm_stops_like_ctrl_c(
     launcher.process.terminate()
     assert launcher.finish() == 128 + signal.SIGTERM
     assert processes_of(tmp_path / "run") == {}
+
+
+def test_a_run_trains_from_what_another_one_deployed(
+    finished: tuple[RunFolder, Launcher],
+    launch: Launch,
+    tmp_path: Path,
+    tiny_flags: tuple[str, ...],
+) -> None:
+    logs = [finished[0].deployment(k) for k in (1, 2)]
+    name = str(import_files(logs, "deployed").name)
+    flags = ("dataset.name=" + name, "dataset.transitions=0", "deployment.count=1")
+    assigned = [part for flag in flags for part in ("--set", flag)]
+    launcher = launch("3agent_hopper", *tiny_flags, *assigned, "--out", "run")
+    assert launcher.finish() == 0, launcher.text
+    folder = RunFolder(tmp_path / "run")
+    card = json.loads(folder.dataset_card.read_text())
+    assert (card["name"], card["transitions"]) == (name, 160)
+    for agent in AGENTS:  # another offline policy than B_0's, and tuned from there
+        trained = [folder.checkpoint(agent, k).read_bytes() for k in (0, 1)]
+        assert finished[0].checkpoint(agent, 0).read_bytes() not in trained
+        assert trained[0] != trained[1]
