@@ -19,6 +19,8 @@ examples:
   python -m otc_dist.replay runs/3agent_hopper-seed0/deployments/*.mcap
   python -m otc_dist.replay deployment_01.mcap --steps 100:200 --agent agent_1
   python -m otc_dist.replay deployment_01.mcap --verify
+  python -m otc_dist.replay deployment_01.mcap --export parquet --out exported
+  python -m otc_dist.replay runs/3agent_hopper-seed0/deployments/*.mcap --publish --rate 10
   python -m otc_dist.replay damaged.mcap --recover --out whole.mcap
 """
 
@@ -58,8 +60,11 @@ _ACTIONS: tuple[_Action, ...] = (
         metavar="FORMAT",
         choices=tuple(FORMATS),
     ),
+    _Action("--video", "video", "a film of it", metavar="OUT.mp4"),
+    _Action("--sheet", "sheet", "pictures of it on one sheet", metavar="OUT.png"),
     _Action("--html", "html", "one page that plays it in any browser", metavar="OUT.html"),
     _Action("--verify", "verify", "check it, and play it again: every bit must come out as logged"),
+    _Action("--publish", "publish", "put a run's logs on the bus again, under its keys"),
     _Action("--recover", "recover", "write what is whole of a damaged or unfinished log anew"),
 )
 
@@ -96,10 +101,31 @@ def _parser() -> argparse.ArgumentParser:
         "--agent", action="append", metavar="NAME", help="one agent; may be given again"
     )
 
+    bus = parser.add_argument_group("how logs are published")
+    bus.add_argument(
+        "--run", type=Path, metavar="DIR", help="on this run folder's bus (default: the logs')"
+    )
+    bus.add_argument(
+        "--rate", type=_rate, metavar="X", help="X times as fast as recorded (default: 1)"
+    )
+    bus.add_argument(
+        "--learners",
+        action="store_true",
+        help="ask the agents' learners, which tune as those did that were there, and wait for the"
+        " slowest; with --rate, not faster than that",
+    )
+
     output = parser.add_argument_group("what is written")
     output.add_argument("--out", type=Path, metavar="PATH", help="where to")
     output.add_argument("--force", action="store_true", help="replace what is there")
     return parser
+
+
+def _rate(text: str) -> float:
+    rate = float(text)
+    if not 0 < rate < float("inf"):
+        raise ValueError
+    return rate
 
 
 if __name__ == "__main__":

@@ -12,13 +12,14 @@ from otc_dist.transitions import Float64
 class RobotScene:
     """A robot's links, each in the colour of the agent that moves its joint.
 
-    u is MuJoCo's x, v its z; angles are about -y.
+    u is MuJoCo's x, v its z; angles are about -y. `model` is the robot's; its body n + 1 is
+    `bodies[n]`.
     """
 
     def __init__(self, env_id: str) -> None:
         robot, agents = PARTITIONS[env_id]
         self._joints = robot.joints
-        self._model = model = load_model(robot)
+        self.model = model = load_model(robot)
         self._data = mujoco.MjData(model)
         owners = {
             int(model.jnt_bodyid[model.actuator_trnid[actuator, 0]]): actuator * agents // model.nu
@@ -37,9 +38,9 @@ class RobotScene:
 
     def frames(self, states: Float64) -> Frames:
         """See `Scene.frames`; a state is the elapsed steps, qpos, qvel and the warm start."""
-        model, data, count = self._model, self._data, len(self.bodies)
+        model, data, count = self.model, self._data, len(self.bodies)
         poses = np.full((len(states), count, 3), np.nan)
-        positions = states[:, 1 : 1 + self._joints]
+        positions = self.positions(states)
         for t in np.flatnonzero(np.isfinite(positions).all(axis=1)):
             data.qpos[:] = positions[t]
             mujoco.mj_kinematics(model, data)
@@ -48,6 +49,10 @@ class RobotScene:
             # The links' own x axes are (cos, 0, sin) of the angle.
             poses[t, :, 2] = np.arctan2(data.xmat[1:, 6], data.xmat[1:, 0])
         return Frames(poses, np.ones((len(states), count)))
+
+    def positions(self, states: Float64) -> Float64:
+        """Where the joints of the model are in `states` (T, state_size): its qpos, (T, nq)."""
+        return states[:, 1 : 1 + self._joints]
 
 
 def _capsules(model: mujoco.MjModel, body: int) -> list[Capsule]:

@@ -24,7 +24,7 @@ AGENT_COLOURS: tuple[Colour, ...] = (
 )
 NOBODYS: Colour = (125, 134, 146)  # what no agent moves
 GOAL: Colour = (47, 158, 68)
-FOE: Colour = (201, 42, 42)
+FOE: Colour = (204, 20, 66)
 
 
 def agent_colour(agent: int) -> Colour:

@@ -1,0 +1,47 @@
+"""`--video OUT.mp4`: a deployment as a film, at the task's own pace."""
+
+import argparse
+from fractions import Fraction
+from pathlib import Path
+
+from otc_dist.errors import UserError
+from otc_dist.progress import shown
+from otc_dist.replay.output import claimed
+from otc_dist.replay.tape import selected_tape
+
+_RATE = 30  # frames a second, at most about
+_QUALITY = "20"  # x264's constant rate factor: smaller is better
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the film of the selected steps and say where it is."""
+    try:
+        import av
+
+        from otc_dist.replay.painter import HEIGHT, WIDTH, painter
+    except ModuleNotFoundError as error:
+        raise missing(error) from None
+    out, tape = Path(arguments.video), selected_tape(arguments)
+    with claimed(out, force=arguments.force) as path, painter(tape) as paint:
+        seconds = Fraction(tape.scene.seconds if tape.scene else 1).limit_denominator(10_000)
+        every = max(1, round(1 / (_RATE * seconds)))  # steps a frame
+        frames = range(0, len(tape), every)
+        with av.open(path, "w", format="mp4") as film, shown(out.name, "frames") as report:
+            stream = film.add_stream("libx264", rate=1 / (every * seconds))
+            stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+            # The file depends on the number of threads.
+            stream.codec_context.thread_count = 1
+            stream.options = {"crf": _QUALITY, "preset": "veryfast"}
+            for done, i in enumerate(frames, start=1):
+                film.mux(stream.encode(av.VideoFrame.from_ndarray(paint(i), format="rgb24")))
+                report(done, len(frames))
+            film.mux(stream.encode())
+    print(out)
+    return 0
+
+
+def missing(error: ModuleNotFoundError) -> UserError:
+    """The one line for someone who has not installed what pictures need."""
+    return UserError(
+        f"this needs the package {error.name}: pip install -c constraints.txt -e '.[video]'"
+    )

@@ -1,0 +1,159 @@
+"""Films and sheets: what is to be seen on them, and what is said where there are none."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+
+from otc_dist.errors import UserError
+from otc_dist.replay import offscreen
+from otc_dist.replay.painter import HEIGHT, WIDTH
+from otc_dist.scenes.scene import AGENT_COLOURS, FOE
+from otc_dist.transitions import JointStep
+
+from .conftest import Replay
+from .played import play
+
+PICTURE = WIDTH - 320  # px, without the panel
+
+
+@pytest.fixture(scope="module")
+def chase(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[JointStep]]:
+    path = tmp_path_factory.mktemp("chase") / "log.mcap"
+    return path, play("predator-prey-3", path, 30)
+
+
+def frames_of(film: Path) -> tuple[list[np.ndarray], float]:
+    """RGB pictures, and how many a second."""
+    with av.open(film) as container:
+        rate = float(container.streams.video[0].average_rate)
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)], rate
+
+
+def place_of(picture: np.ndarray, colour: tuple[int, int, int], within: int) -> tuple[float, ...]:
+    """The middle (x, y) of what has a colour, in px."""
+    near = (np.abs(picture[:, :PICTURE].astype(int) - colour) < within).all(axis=2)
+    assert near.sum() > 40
+    return tuple(np.argwhere(near).mean(axis=0)[::-1])
+
+
+def test_a_film_shows_each_step_of_a_slow_task(chase, tmp_path: Path, replay: Replay) -> None:
+    path, steps = chase
+    out = tmp_path / "out.mp4"
+    assert replay(path, "--video", out) == (0, f"{out}\n")
+    frames, rate = frames_of(out)
+    assert rate == 10 and len(frames) == 30 and frames[0].shape == (HEIGHT, WIDTH, 3)
+    scale = HEIGHT / 2.2
+    for t in (0, 12):
+        points = steps[t].observations[0][0].reshape(-1, 2)
+        apart = np.linalg.norm(points[:, None] - points[None], axis=2) + 9 * np.eye(4)
+        for i, colour in enumerate((*AGENT_COLOURS[:3], FOE)):
+            if apart[i].min() > 0.15:  # nobody covers it
+                expected = (PICTURE / 2 + scale * points[i, 0], HEIGHT / 2 - scale * points[i, 1])
+                assert place_of(frames[t], colour, 28) == pytest.approx(expected, abs=3)
+    # The panel's text and bars change as well.
+    assert (np.abs(frames[0][:, PICTURE:].astype(int) - frames[12][:, PICTURE:]) > 60).any()
+
+
+def test_the_same_log_gives_the_same_film(chase, tmp_path: Path, replay: Replay) -> None:
+    for name in ("a.mp4", "b.mp4"):
+        replay(chase[0], "--video", tmp_path / name, "--steps", "3:9")
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+
+
+def test_a_sheet_shows_twelve_moments(chase, tmp_path: Path, replay: Replay) -> None:
+    path, _ = chase
+    assert replay(path, "--sheet", tmp_path / "all.png")[0] == 0
+    sheet = np.asarray(Image.open(tmp_path / "all.png"))
+    assert sheet.shape[:2] == ((4 * (HEIGHT + 8) + 8) // 2, (3 * (WIDTH + 8) + 8) // 2)
+    corner = sheet[4 : 4 + HEIGHT // 2, 4 : 4 + WIDTH // 2]
+    last = sheet[-4 - HEIGHT // 2 : -4, -4 - WIDTH // 2 : -4]
+    assert (np.abs(corner.astype(int) - last) > 60).sum() > 200
+    replay(path, "--sheet", tmp_path / "few.png", "--steps", "0:2")
+    assert Image.open(tmp_path / "few.png").size == (sheet.shape[1], (HEIGHT + 16) // 2)
+
+
+def test_many_agents_and_a_skirmish(tmp_path: Path, replay: Replay) -> None:
+    for env_id in ("5m_vs_6m", "cooperative-navigation-12"):
+        path = tmp_path / f"{env_id}.mcap"
+        play(env_id, path, 6)
+        assert replay(path, "--sheet", tmp_path / f"{env_id}.png")[0] == 0
+
+
+def test_mistakes(
+    chase, recorded, tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, _ = chase
+    (tmp_path / "there.mp4").write_bytes(b"mine")
+    assert "exists; --force replaces it" in refused(path, "--video", tmp_path / "there.mp4")
+    said = refused(recorded[1], "--video", tmp_path / "out.mp4")
+    assert "test-team do not tell what it looks like" in said and "--html" in said
+    monkeypatch.setitem(sys.modules, "av", None)
+    said = refused(path, "--video", tmp_path / "out.mp4")
+    assert "needs the package av" in said and "'.[video]'" in said
+    assert [p.name for p in tmp_path.iterdir()] == ["there.mp4"]
+    assert (tmp_path / "there.mp4").read_bytes() == b"mine"
+
+
+def test_a_film_that_fails_leaves_nothing(
+    chase, tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("otc_dist.replay.drawing.Panel.draw", full)
+    assert "No space left on device" in refused(chase[0], "--video", tmp_path / "out.mp4")
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- Robots
+
+
+@pytest.fixture(scope="module")
+def hops(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("hops") / "log.mcap"
+    play("hopper-3x1", path, 40)
+    return path
+
+
+def test_without_a_library_for_it_one_line_says_so(
+    hops: Path, tmp_path: Path, refused: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A probe that fails, as it does where the libraries are not installed."""
+
+    def fails(command: list[str], **_: object) -> subprocess.CompletedProcess[bytes]:
+        return subprocess.CompletedProcess(command, 1)
+
+    monkeypatch.setattr(offscreen.subprocess, "run", fails)
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    said = refused(hops, "--sheet", tmp_path / "out.png")
+    assert "egl and osmesa cannot be used here" in said and "apt-get install" in said
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    assert "but osmesa cannot be used" in refused(hops, "--video", tmp_path / "out.mp4")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_robot_is_rendered_in_its_agents_colours(
+    hops: Path, tmp_path: Path, replay: Replay
+) -> None:
+    out = tmp_path / "out.mp4"
+    try:
+        replay(hops, "--video", out)
+    except UserError as error:
+        pytest.skip(str(error))
+    frames, rate = frames_of(out)
+    assert rate == 31.25 and len(frames) == 10  # 0.32 s at every fourth of its 125 steps a second
+    picture = frames[0][:, :PICTURE].astype(int)
+    blue, orange, green = (
+        (picture[..., a] - picture[..., b] > 60) & (picture[..., a] - picture[..., c] > 20)
+        for a, b, c in ((2, 0, 1), (0, 2, 1), (1, 0, 2))
+    )
+    heights = [np.argwhere(link)[:, 0].mean() for link in (blue, orange, green)]
+    assert heights == sorted(heights)  # thigh, leg, foot: it stands
+    assert all(link.sum() > 200 for link in (blue, orange, green))
