@@ -53,7 +53,7 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def make(folder: Path, agents: Sequence[str], names: Sequence[str], days: int) -> Iterator[str]:
+def make(folder: Path, agents: Sequence[str], names: Sequence[str], days: float) -> Iterator[str]:
     """Make what is missing or about to expire in `folder`; yields a line for each process.
 
     Args:
@@ -73,7 +73,7 @@ def make(folder: Path, agents: Sequence[str], names: Sequence[str], days: int) -
             else:
                 authority.issue(where, process, reached_by, days)
                 known = f", for {', '.join(reached_by)}" if reached_by else ""
-                yield f"{where}: made, valid for {days} days{known}"
+                yield f"{where}: made, valid for {days:g} days{known}"
     except OSError as error:
         raise UserError(f"cannot write {error.filename or folder}: {error.strerror}") from None
 
@@ -128,7 +128,7 @@ class _Authority:
         _write(folder, {CERTIFICATE: _pem(certificate), KEY: _pem_key(key)})
         return cls(certificate, key)
 
-    def issue(self, folder: Path, process: str, reached_by: Sequence[str], days: int) -> None:
+    def issue(self, folder: Path, process: str, reached_by: Sequence[str], days: float) -> None:
         """Write a new key and certificate of `process`, reached by these names, into `folder`."""
         key = ec.generate_private_key(ec.SECP256R1())
         purposes = [ExtendedKeyUsageOID.CLIENT_AUTH]

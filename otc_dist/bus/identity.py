@@ -102,7 +102,8 @@ class Identity:
             "enable_mtls": True,
             # Zenoh trusts the web's authorities beside ours, so the name decides as well.
             "verify_name_on_connect": True,
-            "close_link_on_expiration": True,
+            # Zenoh 1.10 panics when it closes a link that it would close by itself one day.
+            "close_link_on_expiration": False,
         }
         return {f"transport/link/tls/{name}": value for name, value in values.items()}
 

@@ -21,7 +21,7 @@ Query = Callable[[Mapping[str, str]], bytes]
 
 _INBOX_SIZE = 256  # messages
 _WAKE_PERIOD = 0.05  # seconds
-_ATTEMPT = 2.0  # seconds until it is asked why a link does not come about
+_ATTEMPT = 1.0  # seconds until it is asked why a link does not come about; then doubles
 
 
 class Inbox:
@@ -70,6 +70,7 @@ class Session:
     def __init__(self, session: Any) -> None:
         self._session = session
         self._declared: list[Any] = []
+        self._publishers: list[Any] = []
         self._inboxes: list[Inbox] = []
         self._closing = threading.Event()
         self._waker = threading.Thread(target=self._wake_inboxes, name="wake", daemon=True)
@@ -108,12 +109,12 @@ class Session:
             UserError: nobody listens within `timeout` seconds; or, within a few seconds, who
                 listens is refused or refuses.
         """
-        end = time.monotonic() + timeout
+        end, attempt = time.monotonic() + timeout, _ATTEMPT
         while True:
             left = end - time.monotonic()
             settings: dict[str, object] = {
                 "connect/endpoints": [door.endpoint],
-                "connect/timeout_ms": int(1000 * max(0.0, min(left, _ATTEMPT))),
+                "connect/timeout_ms": int(1000 * max(0.0, min(left, attempt))),
                 "connect/exit_on_failure": True,
                 "connect/retry": {
                     "period_init_ms": 50,
@@ -127,12 +128,12 @@ class Session:
             except zenoh.ZError as error:
                 if reason := refusal(door):
                     raise UserError(reason) from None
-                if left > _ATTEMPT:
-                    continue
-                raise UserError(
-                    f"nobody listens on {door.endpoint} after {timeout:.0f} s: does the env host"
-                    f" run? ({_first_line(error)})"
-                ) from None
+                if left <= attempt:
+                    raise UserError(
+                        f"nobody listens on {door.endpoint} after {timeout:.0f} s: does the env"
+                        f" host run? ({_first_line(error)})"
+                    ) from None
+                attempt *= 2
 
     def publisher(self, key: str) -> Put:
         """A function that publishes bytes on `key`; what the transport cannot take is dropped."""
@@ -141,8 +142,14 @@ class Session:
                 key, congestion_control=zenoh.CongestionControl.DROP, priority=zenoh.Priority.DATA
             )
         )
+        self._publishers.append(publisher)
         put: Put = publisher.put
         return put
+
+    @property
+    def heard(self) -> bool:
+        """Whether somebody subscribes to anything that this session publishes."""
+        return any(publisher.matching_status.matching for publisher in self._publishers)
 
     def subscribe(self, key: str, receive: Receive) -> None:
         """Call `receive(payload)` for everything published on `key`."""

@@ -1,0 +1,263 @@
+"""Across hosts: mutual TLS or a clear refusal within five seconds."""
+
+import shutil
+import socket
+import stat
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from otc_dist import certs
+from otc_dist.bus.access import access_control
+from otc_dist.bus.endpoints import Door, door, local_endpoint
+from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
+from otc_dist.bus.keys import HOST, OBSERVER, Keys
+from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
+from otc_dist.bus.session import Session
+from otc_dist.errors import UserError
+
+from .conftest import free_port
+
+AGENTS = ("agent_0", "agent_1")
+QUICKLY = 5.0  # seconds within which a refusal is clear
+PATIENCE = 30.0
+
+
+def _make(folder: Path, *names: str, days: float = 30) -> Path:
+    list(certs.make(folder, AGENTS, names or ("127.0.0.1",), days))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _make(tmp_path_factory.mktemp("ours"))
+
+
+@pytest.fixture(scope="module")
+def theirs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of another authority."""
+    return _make(tmp_path_factory.mktemp("theirs"))
+
+
+@pytest.fixture(scope="module")
+def expired(tmp_path_factory: pytest.TempPathFactory, ours: Path) -> Path:
+    """Of our authority, from yesterday until noon, say."""
+    folder = tmp_path_factory.mktemp("expired")
+    shutil.copytree(ours / "authority", folder / "authority")
+    return _make(folder, days=-0.5)
+
+
+@pytest.fixture(scope="module")
+def listening(ours: Path) -> Iterator[str]:
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    with Session.listen([door(endpoint, HOST, ours, insecure=False)], QUICK_PAYLOAD):
+        yield endpoint
+
+
+def _files(folder: Path, process: str, authority: Path | None = None) -> Identity:
+    """An identity that nobody has checked."""
+    own = folder / process
+    return Identity((authority or own) / AUTHORITY, own / CERTIFICATE, own / KEY)
+
+
+def _refusal(attempt: Callable[[], object]) -> str:
+    start = time.monotonic()
+    with pytest.raises(UserError) as refused:
+        attempt()
+    assert time.monotonic() - start < QUICKLY
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+def test_who_holds_a_certificate_of_the_same_authority_is_let_in(
+    listening: str, ours: Path
+) -> None:
+    for process in (*AGENTS, OBSERVER):
+        Session.connect(door(listening, process, ours, insecure=False), QUICK_PAYLOAD).close()
+
+
+def test_the_launcher_looks_on_through_the_socket_of_its_machine(
+    ours: Path, tmp_path: Path
+) -> None:
+    keys = Keys("a-run")
+    uses = keys.observer_uses(AGENTS)
+    endpoint, local = f"tls/127.0.0.1:{free_port()}", Door(local_endpoint(tmp_path))
+    doors = [door(endpoint, HOST, ours, insecure=False), local]
+    rules = access_control({agent: keys.learner_uses(agent) for agent in AGENTS}, local=uses)
+    heard: list[bytes] = []
+    learner = door(endpoint, "agent_1", ours, insecure=False)
+    with (
+        Session.listen(doors, QUICK_PAYLOAD, rules) as host,
+        Session.connect(local, QUICK_PAYLOAD) as launcher,
+        Session.connect(learner, QUICK_PAYLOAD) as session,
+    ):
+        inbox = launcher.inbox(keys.status("agent_1"))
+        launcher.subscribe(keys.action("agent_1"), heard.append)  # not its business
+        put, private = (
+            session.publisher(key) for key in (keys.status("agent_1"), keys.action("agent_1"))
+        )
+        at_host = host.inbox(keys.action("agent_1"))
+        end = time.monotonic() + PATIENCE
+        while (status := inbox.look()) is None and time.monotonic() < end:
+            private(b"an action")
+            put(b"a status")
+            at_host.get(time.monotonic() + 0.1)
+        assert status == b"a status"
+        assert heard == []
+
+
+def test_another_authority_is_refused_by_both_sides(
+    listening: str, ours: Path, theirs: Path
+) -> None:
+    stranger = door(listening, "agent_1", theirs, insecure=False)
+    message = _refusal(lambda: Session.connect(stranger, QUICK_PAYLOAD, PATIENCE))
+    assert f"the certificate of {listening} is refused" in message
+    # Even who has got hold of our authority's certificate, which is no secret, is refused.
+    pretender = Door(listening, _files(theirs, "agent_1", authority=ours / "agent_1"))
+    message = _refusal(lambda: Session.connect(pretender, QUICK_PAYLOAD, PATIENCE))
+    assert "trusts another authority than the one that issued our certificate" in message
+
+
+def test_an_expired_certificate_is_refused_by_both_sides(
+    listening: str, ours: Path, expired: Path
+) -> None:
+    assert "expired on" in _refusal(lambda: door(listening, "agent_1", expired, insecure=False))
+    late = Door(listening, _files(expired, "agent_1"))
+    message = _refusal(lambda: Session.connect(late, QUICK_PAYLOAD, PATIENCE))
+    assert "says that our certificate has expired" in message
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    learner = door(endpoint, "agent_1", ours, insecure=False)
+    with Session.listen([Door(endpoint, _files(expired, HOST))], QUICK_PAYLOAD):
+        message = _refusal(lambda: Session.connect(learner, QUICK_PAYLOAD, PATIENCE))
+    assert "certificate has expired" in message
+
+
+def test_no_certificate_is_no_way_in(listening: str, ours: Path) -> None:
+    assert "needs --certs DIR" in _refusal(lambda: door(listening, "agent_1", None, insecure=False))
+    # Not even for who speaks Zenoh and trusts our authority.
+    settings = {
+        "transport/link/tls/root_ca_certificate": str(ours / "agent_1" / AUTHORITY),
+        "connect/endpoints": [listening],
+        "connect/timeout_ms": 1000,
+        "connect/exit_on_failure": True,
+    }
+    start = time.monotonic()
+    with pytest.raises(zenoh.ZError):
+        zenoh.open(configuration("client", QUICK_PAYLOAD, settings))
+    assert time.monotonic() - start < QUICKLY
+
+
+def test_plaintext_is_refused_by_both_sides(listening: str, ours: Path) -> None:
+    plain = listening.replace("tls/", "tcp/")
+    message = _refusal(lambda: Session.connect(Door(plain), QUICK_PAYLOAD, PATIENCE))
+    assert f"use {listening} with --certs" in message
+    plain = f"tcp/127.0.0.1:{free_port()}"
+    learner = door(plain.replace("tcp/", "tls/"), "agent_1", ours, insecure=False)
+    with Session.listen([Door(plain)], QUICK_PAYLOAD):
+        message = _refusal(lambda: Session.connect(learner, QUICK_PAYLOAD, PATIENCE))
+    assert "does not speak TLS: does it run with --insecure?" in message
+
+
+def test_a_learner_cannot_pose_as_the_env_host(ours: Path) -> None:
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    learner = door(endpoint, "agent_0", ours, insecure=False)
+    with Session.listen([Door(endpoint, _files(ours, "agent_1"))], QUICK_PAYLOAD):
+        message = _refusal(lambda: Session.connect(learner, QUICK_PAYLOAD, PATIENCE))
+    assert "is refused" in message
+
+
+def test_a_host_by_another_name_is_refused(ours: Path, tmp_path: Path) -> None:
+    elsewhere = _make(tmp_path / "certs", "learners.example.org")
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    with Session.listen([door(endpoint, HOST, elsewhere, insecure=False)], QUICK_PAYLOAD):
+        learner = door(endpoint, "agent_0", elsewhere, insecure=False)
+        message = _refusal(lambda: Session.connect(learner, QUICK_PAYLOAD, PATIENCE))
+    assert "127.0.0.1" in message and "is refused" in message
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "insecure", "certificates", "says"),
+    [
+        ("10.0.0.1:7447", False, True, "write it as tls/192.0.2.1:7447"),
+        ("tls/10.0.0.1", False, True, "has no port"),
+        ("tcp/10.0.0.1:7447", False, False, "use tls/10.0.0.1:7447 with --certs DIR, or say --ins"),
+        ("udp/10.0.0.1:7447", False, True, "is open to everybody"),
+        ("tls/10.0.0.1:7447", False, False, "needs --certs DIR"),
+        ("tcp/10.0.0.1:7447", True, True, "contradict each other"),
+    ],
+)
+def test_a_door_that_nobody_should_use(
+    endpoint: str, insecure: bool, certificates: bool, says: str, ours: Path
+) -> None:
+    assert says in _refusal(
+        lambda: door(endpoint, "agent_0", ours if certificates else None, insecure)
+    )
+
+
+def test_certificates_that_cannot_serve(ours: Path, theirs: Path, tmp_path: Path) -> None:
+    endpoint = "tls/127.0.0.1:7447"
+
+    def refused_with(change: Callable[[Path], object]) -> str:
+        folder = tmp_path / str(time.monotonic_ns())
+        shutil.copytree(ours, folder)
+        change(folder / "agent_0")
+        return _refusal(lambda: door(endpoint, "agent_0", folder, insecure=False))
+
+    assert "is missing; python -m otc_dist.certs" in refused_with(lambda own: (own / KEY).unlink())
+    assert "no certificate of agent_7" in _refusal(lambda: door(endpoint, "agent_7", ours, False))
+    assert "is damaged" in refused_with(lambda own: (own / CERTIFICATE).write_text("nonsense"))
+    for name, says in (
+        (CERTIFICATE, "is agent_1's certificate, not agent_0's"),
+        (KEY, "is not the key of"),
+    ):
+        other = ours / "agent_1" / name
+        assert says in refused_with(lambda own, n=name, o=other: shutil.copy(o, own / n))
+    foreign = theirs / "agent_0" / AUTHORITY
+    assert "was not issued by" in refused_with(lambda own: shutil.copy(foreign, own / AUTHORITY))
+
+
+def test_making_certificates_again_keeps_the_good_ones(tmp_path: Path) -> None:
+    def made(agents: tuple[str, ...], names: tuple[str, ...]) -> list[str]:
+        lines = certs.make(folder, agents, names, 30)
+        return [line.rpartition("/")[2].split(",")[0] for line in lines]
+
+    folder, names = tmp_path / "certs", ("a.example.org", "192.0.2.1")
+    assert made(AGENTS, names) == [f"{process}: made" for process in (HOST, *AGENTS, OBSERVER)]
+    (folder / "agent_0" / KEY).unlink()
+    assert made((*AGENTS, "agent_2"), (*names, "b.example.org")) == [
+        "host: made",  # it is reached by another name, too
+        "agent_0: made",
+        "agent_1: kept",
+        "agent_2: made",
+        "observer: kept",
+    ]
+    for key in folder.glob("*/key.pem"):
+        assert stat.S_IMODE(key.stat().st_mode) == 0o600
+        assert stat.S_IMODE(key.parent.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize(
+    ("argv", "says"),
+    [
+        (["--agents", "0"], "must be 1 or more"),
+        (["--agents", "1", "--host", "\u00e9 no name"], "is neither a host name nor an address"),
+        (["--agents", "1", "--days", "0"], "must be 1 or more"),
+    ],
+)
+def test_mistakes_with_certs_are_one_line(argv: list[str], says: str, tmp_path: Path) -> None:
+    assert says in _refusal(lambda: certs.main([str(tmp_path / "certs"), *argv]))
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "authority").mkdir()
+    (tmp_path / "authority" / CERTIFICATE).write_text("mine")
+    assert "delete" in _refusal(lambda: certs.main([str(tmp_path), "--agents", "1"]))
+    assert (tmp_path / "authority" / CERTIFICATE).read_text() == "mine"
+
+
+def test_an_address_in_use_is_one_clear_line(ours: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        taken = door(f"tls/127.0.0.1:{server.getsockname()[1]}", HOST, ours, insecure=False)
+        assert "in use" in _refusal(lambda: Session.listen([taken], QUICK_PAYLOAD))
