@@ -1,27 +1,28 @@
-"""Data of uniformly random policies, the particle tasks' only level: 10^6 transitions, as in the
-paper.
+"""Data of uniformly random policies, the only level of the particle tasks, with 10^6 transitions as
+in the paper, and of a user's own environment, whose speed nobody knows, with 10^5.
 """
 
 from otc_dist.datasets.source import Behaviour, Uniform
-from otc_dist.envs import particle_family, registry
+from otc_dist.envs import particle_family, pettingzoo_adapter, registry
 
 LEVELS = ("random",)
 TRANSITIONS = 1_000_000
+OWN_TRANSITIONS = 100_000
 
 
 class RandomSource:
-    """The `Source` of the particle tasks."""
+    """The `Source` of the particle tasks and of the user's own."""
 
     packages: tuple[str, ...] = ()
 
     def offers(self, env_id: str) -> bool:
-        return particle_family.knows(env_id)
+        return particle_family.knows(env_id) or pettingzoo_adapter.knows(env_id)
 
     def levels(self, env_id: str) -> tuple[str, ...]:
         return LEVELS
 
     def usual_size(self, env_id: str, level: str) -> int:
-        return TRANSITIONS
+        return TRANSITIONS if particle_family.knows(env_id) else OWN_TRANSITIONS
 
     def policies(self, env_id: str, level: str) -> tuple[str, ...]:
         return ("uniform",)
@@ -33,4 +34,4 @@ class RandomSource:
         return env_id
 
     def recipe(self, env_id: str, level: str) -> dict[str, str]:
-        return {}
+        return pettingzoo_adapter.versions(env_id) if pettingzoo_adapter.knows(env_id) else {}

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from otc_dist.datasets.behaviour import BehaviourPolicy, load_card, load_policy
-from otc_dist.datasets.source import Behaviour
+from otc_dist.datasets.source import Behaviour, Uniform
 from otc_dist.envs import registry, smax_adapter
 from otc_dist.envs.skirmish import SKIRMISHES
-from otc_dist.transitions import Bool, Float32
+from otc_dist.transitions import Float32
 
 TRANSITIONS = 234_224  # of the medium policy's first 10,000 episodes
 
@@ -39,10 +39,10 @@ class SkirmishSource:
         return (level,)
 
     def behaviour(self, env_id: str, policy: str) -> Behaviour:
-        agents = registry.team_spec(env_id).agents
+        team = registry.team_spec(env_id)
         if policy == "random":
-            return _Uniform(agents[0].choices, len(agents))
-        return _Alike(load_policy(env_id, load_card(env_id).medium), len(agents))
+            return Uniform(team)
+        return _Alike(load_policy(env_id, load_card(env_id).medium), len(team.agents))
 
     def seed_name(self, env_id: str) -> str:
         return env_id
@@ -51,29 +51,6 @@ class SkirmishSource:
         if level == "random":
             return {} if env_id in SKIRMISHES else smax_adapter.versions()
         return {"policy medium": load_card(env_id).medium.sha256}
-
-
-class _Uniform:
-    """Agents that take each available action as often as any other."""
-
-    def __init__(self, choices: int, agents: int) -> None:
-        self._choices, self._agents = choices, agents
-
-    def noise(self, random: np.random.Generator, steps: int) -> Float32:
-        return random.random((steps, self._agents), np.float32)
-
-    def act(self, observations: Sequence[Float32], noise: Float32) -> Sequence[Float32]:
-        return [
-            self._chosen(seen[:, -self._choices :] > 0, draw)
-            for seen, draw in zip(observations, noise.T, strict=True)
-        ]
-
-    def _chosen(self, available: Bool, draw: Float32) -> Float32:
-        """The floor(n u)-th of n available actions, (E, 1), for masks (E, choices) and u (E,)."""
-        order = np.cumsum(available, axis=1)
-        number = np.minimum((order[:, -1] * draw).astype(np.int64), order[:, -1] - 1)
-        action: Float32 = (order > number[:, None]).argmax(axis=1).astype(np.float32)
-        return action[:, None]
 
 
 class _Alike:

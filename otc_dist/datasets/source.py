@@ -86,16 +86,32 @@ class ActionSlices:
 
 
 class Uniform:
-    """Uniformly random continuous actions within the agents' bounds, a `Behaviour`."""
+    """Uniformly random actions, within the agents' bounds or of those available: a `Behaviour`."""
 
     def __init__(self, team: TeamSpec) -> None:
         low = np.array([x for agent in team.agents for x in agent.action_low], np.float32)
         high = np.array([x for agent in team.agents for x in agent.action_high], np.float32)
         self._low, self._range = low, high - low
         self._slices = ActionSlices(team)
+        self._choices = [agent.choices for agent in team.agents]
 
     def noise(self, random: np.random.Generator, steps: int) -> Float32:
         return random.random((steps, len(self._low)), np.float32)
 
     def act(self, observations: Sequence[Float32], noise: Float32) -> Sequence[Float32]:
-        return self._slices.split(self._range * noise + self._low)
+        drawn = self._slices.split(self._range * noise + self._low)
+        return [
+            _available(noise_of, seen[:, -choices:]) if choices else action
+            for choices, action, noise_of, seen in zip(
+                self._choices, drawn, self._slices.split(noise), observations, strict=True
+            )
+        ]
+
+
+def _available(noise: Float32, mask: Float32) -> Float32:
+    """The floor(n u)-th of n available actions, (E, 1), for u (E, 1) and masks (E, choices)."""
+    order = np.cumsum(mask > 0, axis=1)
+    count = order[:, -1:]
+    number = np.minimum((count * noise).astype(np.int64), count - 1)
+    action: Float32 = (order > number).argmax(axis=1).astype(np.float32)
+    return action[:, None]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from otc_dist.envs import (
     particle_family,
+    pettingzoo_adapter,
     robot_specs,
     robot_task,
     skirmish,
@@ -45,6 +46,11 @@ def _make_smax(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
     return smax_adapter.SmaxEnv(env_id, copies)
 
 
+def _make_pettingzoo(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
+    del progress
+    return pettingzoo_adapter.PettingZooEnv(env_id, copies)
+
+
 def _make_skirmish(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
     del progress  # battles stay as they are
     return skirmish.SkirmishEnv(env_id, copies)
@@ -74,6 +80,7 @@ _FAMILIES = (
     ),
     _Family((), smac_adapter.knows, smac_adapter.team_spec, _make_smac),
     _Family((), smax_adapter.knows, smax_adapter.team_spec, _make_smax),
+    _Family((), pettingzoo_adapter.knows, pettingzoo_adapter.team_spec, _make_pettingzoo),
 )
 
 
