@@ -16,6 +16,7 @@ from otc_dist.deployment_log.reader import LogSummary, read_header, summarise
 from otc_dist.deployment_log.several import in_order
 from otc_dist.errors import UserError
 from otc_dist.replay.export.formats import FORMATS, Format, View
+from otc_dist.replay.export.room import require_room
 from otc_dist.replay.export.trajectories import Trajectory, trajectories
 from otc_dist.replay.output import claimed
 from otc_dist.replay.selection import Selection, select
@@ -102,6 +103,7 @@ def _export(
     total, done, count = sum(part.transitions for part in parts), 0, 0
     with progress.shown(f"exporting to {arguments.out}", "transitions") as report:
         for batch in _batches(parts):
+            require_room(folder, form, batch)
             for writer in writers:
                 writer.write(batch)
             count += len(batch)

@@ -54,6 +54,7 @@ class D4RLWriter:
         self._append("next_observations", [part.next_observations[i] for part in batch])
         self._append("terminals", [part.terminated for part in batch])
         self._append("timeouts", [_timeouts(part) for part in batch])
+        self._file.flush()  # what is kept back could find the disk full
 
     def _append(self, name: str, parts: Sequence[NDArray[Any]]) -> None:
         rows, data = np.concatenate(parts), self._file[name]

@@ -51,6 +51,8 @@ class Format:
     module: str
     needs: str  # the libraries
     joint: bool  # whether it has room for the data of several agents
+    growth: float  # bytes on the disk, at most, for each byte of data
+    overhead: int  # bytes, at most, for each trajectory of an agent
 
     def opener(self) -> Callable[[Path, View], Writer]:
         """What begins a data set of a view in a folder.
@@ -69,9 +71,9 @@ class Format:
 
 
 FORMATS: Mapping[str, Format] = {
-    "minari": Format("minari_sets", "minari and h5py", joint=True),
-    "d4rl": Format("d4rl_files", "h5py", joint=False),
-    "parquet": Format("parquet_files", "pyarrow", joint=True),
-    "lerobot": Format("lerobot_sets", "pyarrow", joint=True),
-    "csv": Format("csv_files", "pyarrow", joint=True),
+    "minari": Format("minari_sets", "minari and h5py", joint=True, growth=1.5, overhead=20_000),
+    "d4rl": Format("d4rl_files", "h5py", joint=False, growth=1.5, overhead=0),
+    "parquet": Format("parquet_files", "pyarrow", joint=True, growth=1.5, overhead=200),
+    "lerobot": Format("lerobot_sets", "pyarrow", joint=True, growth=1.5, overhead=400),
+    "csv": Format("csv_files", "pyarrow", joint=True, growth=6.0, overhead=0),
 }

@@ -36,6 +36,18 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.terminated)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays."""
+        by_agent = (
+            *self.observations,
+            *self.actions,
+            *self.rewards,
+            *self.next_observations,
+            *self.exploring,
+        )
+        return sum(x.nbytes for x in (*by_agent, self.terminated, self.truncated, self.state))
+
 
 # A stretch of one copy's steps: the columns of `_columns`, each with T rows.
 _Columns = dict[str, NDArray[Any]]
