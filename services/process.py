@@ -12,11 +12,11 @@ from types import FrameType
 from typing import Self
 
 from otc_dist.bus.access import access_control
+from otc_dist.bus.agreement import copies_by_phase, longest_message, run_spec
 from otc_dist.bus.endpoints import Door, door, local_endpoint
 from otc_dist.bus.keys import OBSERVER, Keys
-from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.lockstep import GaveUpError
-from otc_dist.bus.replies import RunSpec, history_rows
+from otc_dist.bus.replies import RunSpec
 from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
 from otc_dist.errors import UserError, leave
@@ -77,24 +77,17 @@ class Run:
     @property
     def copies(self) -> dict[str, int]:
         """E, by phase."""
-        return {
-            "deployment": self.description.env.copies,
-            "evaluation": self.description.evaluation.episodes,
-            "done": 0,
-        }
+        return copies_by_phase(self.description)
 
     @property
     def spec(self) -> RunSpec:
         """What env host and learners must agree on."""
-        return RunSpec(self.team.env_id, self.team.agents, self.description.shared_digest())
+        return run_spec(self.description, self.team)
 
     @property
     def maximum_payload(self) -> int:
-        """The longest message, bytes: the description's limit; less where links can be quick."""
-        limit, copies = self.description.bus.maximum_payload, max(self.copies.values())
-        # A step's page of history is longer than its question.
-        short = all(history_rows(agent, QUICK_PAYLOAD) >= copies for agent in self.team.agents)
-        return min(limit, QUICK_PAYLOAD) if short else limit
+        """The longest message, bytes."""
+        return longest_message(self.description, self.team)
 
     @property
     def local_door(self) -> Door:
@@ -127,7 +120,19 @@ def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParse
     made.add_argument(
         "--insecure", action="store_true", help="permit endpoints that anybody may use"
     )
+    made.add_argument(
+        "--patience",
+        type=float,
+        metavar="SECONDS",
+        help="how long the others may take to come (default: bus.answer_deadline)",
+    )
     return made
+
+
+def patience(run: Run, arguments: argparse.Namespace) -> float:
+    """Seconds to wait until another process has come."""
+    given: float | None = arguments.patience
+    return run.description.bus.answer_deadline if given is None else given
 
 
 def door_at(endpoint: str, process: str, arguments: argparse.Namespace) -> Door:

@@ -1,17 +1,23 @@
-"""An agent's own past, asked of the env host's log page by page."""
+"""An agent's own past, asked of the env host's log page by page, and the answer."""
 
 import time
+from collections.abc import Callable, Mapping
 
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.lockstep import GaveUpError
-from otc_dist.bus.replies import decode_history
-from otc_dist.bus.session import Session
+from otc_dist.bus.replies import decode_history, encode_history, history_rows
+from otc_dist.bus.session import Query, Session
 from otc_dist.bus.wire import RejectedError, Rejections
+from otc_dist.description import Description
+from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 
+Read = Callable[[int, int, int], Transitions]  # deployment, start, stop (steps)
+
 _RETRY = 0.2  # seconds
 _PATIENCE = 5.0  # seconds for one page
+_LONGEST_NUMBER = 10  # digits
 
 
 class History:
@@ -73,3 +79,46 @@ class History:
         if len(page) % self._copies or len(page) > (stop - start) * self._copies:
             raise RejectedError("shape")
         return page
+
+
+def history_reply(
+    keys: Keys,
+    agent: AgentSpec,
+    description: Description,
+    maximum_payload: int,
+    read: Read,
+    rejections: Rejections,
+) -> Query:
+    """Answers queries for the transitions of `agent`, which `read` gets from a log.
+
+    The answer raises LookupError, whose text is sent, for a query that makes no sense (it is
+    counted as `query`) and for steps that are not in the log.
+    """
+    rows = history_rows(agent, maximum_payload)
+    page = max(1, rows // description.env.copies)  # steps
+    deployments = description.deployment.count
+
+    def reply(parameters: Mapping[str, str]) -> bytes:
+        try:
+            names = ("deployment", "start", "stop")
+            k, start, stop = (_number(parameters.get(name)) for name in names)
+            if not (1 <= k <= deployments and start < stop):
+                raise RejectedError("query")
+        except RejectedError as rejected:
+            rejections.count(rejected)
+            raise LookupError(
+                f"a history query needs deployment 1 .. {deployments} and start < stop"
+            ) from None
+        try:
+            found = read(k, start, min(stop, start + page))
+        except (UserError, ValueError) as error:
+            raise LookupError(str(error)) from None
+        return encode_history(keys.run, agent.name, k, start, found)
+
+    return reply
+
+
+def _number(text: str | None) -> int:
+    if text is None or not (text.isascii() and text.isdigit() and len(text) <= _LONGEST_NUMBER):
+        raise RejectedError("query")
+    return int(text)

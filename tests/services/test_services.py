@@ -18,7 +18,7 @@ from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.learner import Learner
 
-from .conftest import AGENTS, PROCESSES, Services, step_bytes
+from .conftest import AGENTS, PATIENCE, PROCESSES, Services, step_bytes
 
 
 def _data_file(services: Services, agent: str, cache: Path | None = None) -> Path:
@@ -154,6 +154,38 @@ def test_late_messages_and_a_killed_learner_change_no_byte_of_real_learning(
     run.start("agent_1")
     assert set(run.wait_all().values()) == {0}, run.output("host")
     assert run.result() == finished.result()
+
+
+def _publish(finished: Services, fresh: Services, *arguments: str) -> tuple[int, str]:
+    """Publish the finished run's logs to the fresh run's learners, which run already."""
+    logs = [str(finished.folder.deployment(k)) for k in (1, 2)]
+    command = [sys.executable, "-m", "otc_dist.replay", *logs, "--publish", "--learners"]
+    command += ["--run", str(fresh.folder.root), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    return done.returncode, done.stderr
+
+
+def test_a_fresh_learner_tuned_from_the_replayed_logs_ends_with_the_same_bytes(
+    finished: Services, run: Services
+) -> None:
+    """On the real bus, without the other two: it learns nothing of them anyway."""
+    run.start("agent_1")
+    status, told = _publish(finished, run, "--agent", "agent_1")
+    assert status == 0, told
+    assert run.wait("agent_1") == 0
+    for k in (0, 1, 2):
+        path = finished.folder.checkpoint("agent_1", k)
+        assert run.folder.checkpoint("agent_1", k).read_bytes() == path.read_bytes()
+
+
+def test_another_learner_than_the_one_in_the_log_is_refused(
+    finished: Services, run: Services
+) -> None:
+    run.start("agent_1", stub=True)
+    status, told = _publish(finished, run, "--agent", "agent_1")
+    assert status == 1
+    assert "agent_1 acts by policy" in told and "is not the one that was there" in told
+    assert told.splitlines()[-1].startswith("error: ")
 
 
 def _service(*arguments: str) -> subprocess.CompletedProcess[str]:

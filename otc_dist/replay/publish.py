@@ -1,0 +1,195 @@
+"""`--publish`: logs of a run on the bus again, under its keys.
+
+Whoever listens sees the deployments as they were, at their own pace or `--rate` times as fast. With
+`--learners`, the agents' learners are asked, as fast as the slowest answers, and tune as they did.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from otc_dist.bus.agreement import longest_message
+from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
+from otc_dist.bus.history import Read
+from otc_dist.bus.lockstep import GaveUpError
+from otc_dist.bus.session import Session
+from otc_dist.deployment_log.header import LogHeader
+from otc_dist.deployment_log.open_log import OpenLog
+from otc_dist.deployment_log.reader import (
+    LogSummary,
+    read_header,
+    read_summary,
+    read_transitions,
+)
+from otc_dist.deployment_log.several import in_order
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+from otc_dist.exploration import Schedule
+from otc_dist.progress import shown
+from otc_dist.replay.log_host import Asker, OtherActionError, Teller
+from otc_dist.replay.selection import Selection, select
+from otc_dist.run_folder import RunFolder
+from otc_dist.transitions import JointStep, Transitions
+
+_Part = tuple[LogSummary, Selection]
+
+_LOOK = 0.02  # seconds between two looks at whether somebody listens
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Publish the logs in order of their deployments.
+
+    Returns 1 if a learner acts otherwise than the log, or shows no sign of life any more.
+
+    Raises:
+        UserError: logs of several runs, or with steps missing for learners; nobody listens; ...
+    """
+    headers = {path: read_header(path) for path in arguments.files}
+    paths = in_order(headers)
+    first = headers[paths[0]]
+    told = {(header.run, header.description_digest) for header in headers.values()}
+    if len(told) > 1:
+        raise UserError("the logs are of several runs: publish one at a time")
+    description = Description.parse(first.description, source=f"the description in {paths[0]}")
+    summaries = [read_summary(path) for path in paths]
+    parts = [(summary, select(arguments, summary)) for summary in summaries]
+    root = arguments.run or paths[0].resolve().parent.parent
+    logs = _Logs({headers[path].deployment: path for path in paths}, first)
+    if arguments.learners:
+        _prepare_learners(arguments, parts, description, logs)
+    indices = parts[0][1].indices(first.team.names)
+    with _centre(root, longest_message(description, first.team)) as session:
+        try:
+            if arguments.learners:
+                asker = Asker(session, first, description, indices, logs.of_agent)
+                _ask(arguments, asker, parts)
+            else:
+                teller = Teller(session, first, description, indices, logs.of_agent)
+                _wait_for_somebody(session, root, description.bus.answer_deadline)
+                _tell(arguments, teller, parts)
+        except (GaveUpError, OtherActionError) as error:
+            print(f"error: {error}", file=sys.stderr)
+            return 1
+    return 0
+
+
+def _tell(arguments: argparse.Namespace, teller: Teller, parts: list[_Part]) -> None:
+    with teller:
+        for summary, selection in parts:
+            steps = _steps(summary, selection, arguments.rate or 1.0)
+            teller.tell(summary.header.deployment, summary.end, steps, summary.policies)
+
+
+def _ask(arguments: argparse.Namespace, asker: Asker, parts: list[_Part]) -> None:
+    names = parts[0][1].agents
+    print(
+        f"asking {', '.join(names)}; each is started by"
+        f" python -m otc_dist.services.learner --run {arguments.run} --agent NAME",
+        file=sys.stderr,
+    )
+    with asker:
+        for summary, selection in parts:
+            steps = _steps(summary, selection, arguments.rate)
+            asker.ask(summary.header.deployment, summary.end, steps, summary.policies)
+        asker.end(parts[-1][0].header.deployment)
+
+
+def _steps(summary: LogSummary, selection: Selection, rate: float | None) -> Iterator[JointStep]:
+    """The selected steps, each when it is due: `rate` times as fast as logged, or at once."""
+    doing = f"publishing deployment {summary.header.deployment}"
+    total = selection.stop - selection.start
+    begun, first, done = time.monotonic(), None, 0
+    with OpenLog(summary.path) as log, shown(doing, "steps") as report:
+        for rows in log.blocks(selection.start, selection.stop):
+            for row, step in zip(rows, log.layout.steps(rows), strict=True):
+                logged = int(row["log_time"])
+                first = logged if first is None else first
+                if rate is not None:
+                    due = begun + (logged - first) / 1e9 / rate
+                    time.sleep(max(0.0, due - time.monotonic()))
+                yield step
+                done += 1
+                report(done, max(total, done))
+
+
+class _Logs:
+    """The logs of a run by deployment: those given, and those that lie beside the first."""
+
+    def __init__(self, given: dict[int, Path], header: LogHeader) -> None:
+        self._given, self._header = given, header
+        self._beside = next(iter(given.values())).parent
+
+    def path(self, deployment: int) -> Path:
+        """Raises UserError if there is none."""
+        path = self._given.get(deployment)
+        if path is None:
+            path = self._beside / RunFolder(self._beside).deployment(deployment).name
+            header = read_header(path) if path.exists() else None
+            if header is None or (header.run, header.deployment) != (self._header.run, deployment):
+                raise UserError(
+                    f"the log of deployment {deployment} is not at hand: give it, too, or put it at"
+                    f" {path}"
+                )
+        return path
+
+    def of_agent(self, agent: str) -> Read:
+        """What reads an agent's transitions, by deployment and steps."""
+
+        def read(deployment: int, start: int, stop: int) -> Transitions:
+            found = read_transitions(self.path(deployment), agent, start, stop)
+            if len(found) != (stop - start) * self._header.copies:
+                raise UserError(f"steps {start} to {stop - 1} are not all in the log")
+            return found
+
+        return read
+
+
+def _prepare_learners(
+    arguments: argparse.Namespace, parts: list[_Part], description: Description, logs: _Logs
+) -> None:
+    """See that all is there that learners will ask for, and their run folder as well."""
+    if arguments.run is None:
+        raise UserError("--learners needs --run DIR, the folder in which fresh learners will work")
+    if arguments.steps is not None or arguments.episode is not None:
+        raise UserError("learners tune on whole deployments: leave out --steps and --episode")
+    team = parts[0][0].header.team
+    expected = [(0, Schedule.of(description, len(team.agents)).steps)]
+    by_path = {summary.path: summary for summary, _ in parts}
+    for deployment in range(1, parts[-1][0].header.deployment + 1):
+        path = logs.path(deployment)
+        summary = by_path.get(path) or read_summary(path)
+        if not summary.finished or summary.ranges != expected:
+            raise UserError(f"{path} does not hold its whole deployment: learners would differ")
+    folder, header = RunFolder(arguments.run), parts[0][0].header
+    try:
+        folder.root.mkdir(parents=True, exist_ok=True)
+        if not folder.description.exists():
+            folder.description.write_text(header.description, encoding="utf-8")
+            folder.run_json.write_text(json.dumps({"run": header.run}) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot make {folder.root}: {error.strerror}") from None
+    if Description.load(folder.description).digest() != description.digest():
+        raise UserError(f"{folder.root} is the folder of another run: its description differs")
+
+
+@contextmanager
+def _centre(root: Path, maximum_payload: int) -> Iterator[Session]:
+    """The bus of the run folder `root`, with this process as its centre."""
+    endpoint = local_endpoint(root)
+    with Session.listen([Door(endpoint)], maximum_payload) as session:
+        yield session
+    remove_local_endpoint(endpoint)
+
+
+def _wait_for_somebody(session: Session, root: Path, deadline: float) -> None:
+    """Wait until somebody subscribes: what is published before is lost."""
+    print(f"waiting for somebody to listen on the bus of {root}", file=sys.stderr)
+    end = time.monotonic() + deadline
+    while not session.heard:
+        if time.monotonic() > end:
+            raise UserError(f"nobody listened on the bus of {root} for {deadline:g} s")
+        time.sleep(_LOOK)

@@ -1,0 +1,136 @@
+"""`--publish` without learners: whoever listens sees what was, as it was, when it is due."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+
+from otc_dist.bus.codec import AgentCodec
+from otc_dist.bus.endpoints import Door, local_endpoint
+from otc_dist.bus.keys import HOST
+from otc_dist.bus.messages import Moment, decode_status
+from otc_dist.bus.session import Session
+from otc_dist.deployment_log.reader import read_header, read_steps, read_summary
+from otc_dist.replay import publish
+from otc_dist.replay.selection import Selection
+
+from .deployments import played, retold
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return played(tmp_path_factory.mktemp("published") / "log.mcap", "navigation", steps=60, k=1)
+
+
+def heard(log: Path, run: Path, *arguments: str) -> dict[str, list[bytes]]:
+    """What somebody hears who listens to all of the run: questions, answers, statuses."""
+    command = [sys.executable, "-m", "otc_dist.replay", str(log), "--publish", "--run", str(run)]
+    found: dict[str, list[bytes]] = {"question": [], "answer": [], "status": []}
+
+    def receive(payload: bytes) -> None:
+        fields = msgpack.unpackb(payload)
+        kind = "status" if isinstance(fields[3], str) else "question"
+        found["answer" if kind == "question" and len(fields) == 9 else kind].append(payload)
+
+    with (
+        subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True) as publisher,
+        Session.connect(Door(local_endpoint(run)), 16_000, timeout=60) as session,
+    ):
+        # One subscription: the publisher begins as soon as there is any.
+        session.subscribe(f"otc/{read_header(log).run}/*/*", receive)
+        assert publisher.stderr is not None
+        told = publisher.stderr.read()
+        assert publisher.wait(60) == 0, told
+    return found
+
+
+def test_questions_answers_and_statuses_are_those_of_the_log(log: Path, tmp_path: Path) -> None:
+    found = heard(log, tmp_path / "run", "--rate", "100000")
+    header, steps = read_header(log), list(read_steps(log))
+    codec = AgentCodec(header.run, header.team.agents[0], {"deployment": 2})
+    questions = [codec.decode_observation(payload) for payload in found["question"]]
+    epoch = questions[0].moment.epoch
+    assert [q.moment for q in questions] == [
+        Moment("deployment", 1, epoch, t) for t in range(len(steps))
+    ]
+    for question, step in zip(questions, steps, strict=True):
+        assert question.observations is not None
+        assert question.observations.tobytes() == step.observations[0].tobytes()
+    for question, before in zip(questions[1:], steps, strict=False):
+        assert question.outcome is not None
+        assert question.outcome.rewards.tobytes() == before.rewards[0].tobytes()
+        seen = question.outcome.next_observations
+        assert seen.tobytes() == before.next_observations[0].tobytes()
+        assert np.array_equal(question.outcome.truncated, before.truncated)
+    assert len(found["answer"]) == len(steps)
+    for question, step, payload in zip(questions, steps, found["answer"], strict=True):
+        answer = codec.decode_action(payload, question.moment, acting=True)
+        assert answer.actions is not None and answer.policy == "0" * 16
+        assert answer.actions.tobytes() == step.actions[0].tobytes()
+    last = decode_status(found["status"][-1], header.run, HOST)
+    assert (last.phase, last.deployment, last.update, last.total) == ("deployment", 1, 59, 60)
+
+
+def test_a_part_is_published_when_asked_for(log: Path, tmp_path: Path) -> None:
+    found = heard(log, tmp_path / "run", "--rate", "100000", "--steps", "20:25")
+    header = read_header(log)
+    codec = AgentCodec(header.run, header.team.agents[0], {"deployment": 2})
+    steps = [codec.decode_observation(payload).moment.step for payload in found["question"]]
+    assert steps == [21, 22, 23, 24]  # what the question of step 20 would tell is not selected
+    assert len(found["answer"]) == 5
+
+
+@pytest.mark.parametrize("rate", [1.0, 10.0])
+def test_steps_are_due_as_they_were_recorded(
+    log: Path, monkeypatch: pytest.MonkeyPatch, rate: float
+) -> None:
+    now = [0.0]
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    monkeypatch.setattr(publish.time, "sleep", sleep)
+    monkeypatch.setattr(publish.time, "monotonic", lambda: now[0])
+    summary = read_summary(log)
+    assert summary.times is not None
+    first, last = summary.times
+    given = []
+    for step in publish._steps(summary, Selection(0, summary.end, ("agent_0",)), rate):
+        given.append((step.step, now[0]))
+    assert [step for step, _ in given] == list(range(60))
+    assert given[0][1] == 0 and given[-1][1] == pytest.approx((last - first) / 1e9 / rate)
+
+
+Refused = Callable[..., str]
+
+
+def test_mistakes_are_one_line(log: Path, tmp_path: Path, refused: Refused) -> None:
+    other = retold(log, tmp_path / "b.mcap", run="another-run", deployment=2)
+    assert "of several runs" in refused(log, other, "--publish")
+    needs = "--learners needs --run DIR"
+    assert needs in refused(log, "--publish", "--learners")
+    learners = ("--publish", "--learners", "--run", tmp_path / "run")
+    assert "whole deployments" in refused(log, *learners, "--steps", "3:")
+    second = retold(log, tmp_path / "c.mcap", deployment=2)
+    assert "the log of deployment 1 is not at hand" in refused(second, *learners)
+    (tmp_path / "run").mkdir(exist_ok=True)
+    header = read_header(log)
+    text = header.description.replace("seed = 0", "seed = 1")
+    (tmp_path / "run" / "description.toml").write_text(text)
+    assert "the folder of another run" in refused(log, *learners)
+
+
+def test_learners_are_not_given_a_deployment_with_gaps(
+    log: Path, tmp_path: Path, refused: Refused
+) -> None:
+    header = replace(read_header(log), versions={"otc_dist": "0"})
+    from .deployments import logged
+
+    short = logged(tmp_path / "a.mcap", header, list(read_steps(log))[:30])
+    message = refused(short, "--publish", "--learners", "--run", tmp_path / "run")
+    assert "does not hold its whole deployment" in message
