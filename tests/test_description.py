@@ -151,6 +151,9 @@ def test_a_task_for_any_number_of_agents() -> None:
     assert (six.env.id, six.dataset.name) == ("flock-6", "flock-6/random")
     with pytest.raises(UserError, match=r"env.agents is not for hopper-3x1"):
         minimal("env.agents=4")
+    with pytest.raises(UserError, match=r"env.agents: input should be greater than 0"):
+        four.with_assignments("env.agents=0")
+    assert Description.build(tomllib.loads(six.to_toml())) == six
 
 
 def leaves(value: object, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:

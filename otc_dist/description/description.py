@@ -62,7 +62,8 @@ class Description(Section):
             new, changed = re.subn(r"-\d+$", f"-{agents}", old)
             if not changed:
                 raise ValueError(f"env.agents is not for {old}, whose number of agents is its own")
-        data = {**data, "env": {**env, "id": new, "agents": 0}}
+            env = {**env, "id": new, "agents": None}
+        data = {**data, "env": env}
         if isinstance(dataset, dict) and isinstance(name := dataset.get("name"), str):
             whole = name if "/" in name else f"{new}/{name}"
             if whole.startswith(f"{old}/"):
@@ -145,7 +146,7 @@ class Description(Section):
         return max(deployment - 1, 0) / max(self.deployment.count - 1, 1)
 
     def to_toml(self) -> str:
-        return tomli_w.dumps(self.model_dump(mode="json"))
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
 
     def digest(self) -> str:
         """Identifies the description: 16 hexadecimal digits of its canonical form's hash.

@@ -16,8 +16,8 @@ class EnvSection(Section):
     """The task, and how many copies of it the env host steps together."""
 
     id: str = Field(description="environment, for example hopper-3x1")
-    agents: int = Field(
-        default=0, ge=0, description="of a task for any number: replaces the number in its id"
+    agents: PositiveInt | None = Field(
+        default=None, description="of a task for any number: replaces the number in its id"
     )
     copies: int = Field(default=4, ge=1, description="E, environment copies stepping together")
 
