@@ -1,0 +1,353 @@
+"""Exports hold what was logged, to the bit, in the words of each format; or nothing is written."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from numpy.typing import NDArray
+
+from otc_dist.datasets import store
+from otc_dist.datasets.importers import import_files
+from otc_dist.deployment_log.open_log import OpenLog
+from otc_dist.deployment_log.record import Rows
+from otc_dist.replay.export.trajectories import trajectories
+from otc_dist.replay.selection import Selection
+from otc_dist.transitions import JointStep
+from tests.deployment_log.conftest import Recording
+
+from .exported import READERS, Arrays, column, minari_episodes, read_parquet
+from .played import play
+
+FORMATS = tuple(READERS)
+AGENTS = ("agent_0", "agent_1", "agent_2")
+Replay = Callable[..., tuple[int, str]]
+
+
+@dataclass
+class Deployments:
+    """Logs, and the steps of each."""
+
+    paths: list[Path]
+    steps: list[list[JointStep]]
+
+    def trajectories(self) -> list[list[tuple[int, int, JointStep]]]:
+        """(log, copy, step) of every trajectory, in the order of their ends."""
+        found = []
+        for log, steps in enumerate(self.steps):
+            copies = len(steps[0].terminated)
+            waiting: list[list[tuple[int, int, JointStep]]] = [[] for _ in range(copies)]
+            for step in steps:
+                for copy in range(copies):
+                    waiting[copy].append((log, copy, step))
+                    if step.terminated[copy] or step.truncated[copy]:
+                        found.append(waiting[copy])
+                        waiting[copy] = []
+            found += [part for part in waiting if part]
+        return found
+
+    def of_agent(self, index: int) -> Arrays:
+        """What an export of that agent has to hold."""
+        parts = self.trajectories()
+        rows = [row for part in parts for row in part]
+
+        def stacked(name: str) -> NDArray[Any]:
+            return np.array([getattr(step, name)[index][copy] for _, copy, step in rows])
+
+        return {
+            "observations": stacked("observations"),
+            "actions": stacked("actions"),
+            "rewards": stacked("rewards"),
+            "next_observations": stacked("next_observations"),
+            "terminated": np.array([step.terminated[copy] for _, copy, step in rows]),
+            "truncated": np.array([step.truncated[copy] for _, copy, step in rows]),
+            "exploring": np.array([step.exploring[index] for _, _, step in rows]),
+            "starts": np.cumsum([0, *(len(part) for part in parts[:-1])]),
+            "log": np.array([log for log, _, _ in rows]),
+            "copy": np.array([copy for _, copy, _ in rows]),
+            "step": np.array([step.step for _, _, step in rows]),
+        }
+
+
+@pytest.fixture(scope="module")
+def hopper(tmp_path_factory: pytest.TempPathFactory) -> Deployments:
+    """Two deployments of a run; hoppers fall, and the ends of the logs cut some off."""
+    folder = tmp_path_factory.mktemp("hopper")
+    paths = [folder / f"deployment_{k:02d}.mcap" for k in (1, 2)]
+    steps = [
+        play("hopper-3x1", path, 150, run="r", deployment=k + 1) for k, path in enumerate(paths)
+    ]
+    return Deployments(paths, steps)
+
+
+def same_bits(found: Arrays, expected: Arrays) -> None:
+    for name in set(found) & set(expected):
+        wanted = expected[name].astype(found[name].dtype)
+        assert found[name].shape == wanted.shape, name
+        assert found[name].tobytes() == wanted.tobytes(), name
+    assert set(expected) - {"truncated", "exploring", "log", "copy", "step"} <= set(found)
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_each_agent_gets_its_own_transitions_to_the_bit(
+    hopper: Deployments, replay: Replay, tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("otc_dist.replay.export.command._BATCH", 250)
+    out = tmp_path / "out"
+    status, told = replay(*hopper.paths, "--export", form, "--out", out)
+    assert status == 0 and "600 transitions" in told
+    for index, agent in enumerate(AGENTS):
+        same_bits(READERS[form](out, agent), hopper.of_agent(index))
+    card = json.loads((out / "export.json").read_text())
+    assert card["transitions"] == 600
+    assert card["trajectories"] == len(hopper.trajectories())
+    assert [log["file"] for log in card["logs"]] == [path.name for path in hopper.paths]
+    assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_discrete_actions_are_kept_as_their_indices(
+    replay: Replay, tmp_path: Path, form: str
+) -> None:
+    battle = Deployments([tmp_path / "a.mcap"], [play("5m_vs_6m", tmp_path / "a.mcap", 40, 1)])
+    replay(*battle.paths, "--export", form, "--out", tmp_path / "out", "--agent", "agent_3")
+    same_bits(READERS[form](tmp_path / "out", "agent_3"), battle.of_agent(3))
+    names = {path.name for path in (tmp_path / "out").iterdir()} - {"export.json"}
+    assert len(names) == 1  # nothing of the others, and no joint set
+
+
+def test_the_joint_sets_hold_all_agents_and_the_state(
+    hopper: Deployments, replay: Replay, tmp_path: Path
+) -> None:
+    for form in ("parquet", "lerobot", "minari"):
+        replay(*hopper.paths, "--export", form, "--out", tmp_path / form)
+    agents = [hopper.of_agent(index) for index in range(3)]
+    rows = [row for part in hopper.trajectories() for row in part]
+
+    table = pq.read_table(tmp_path / "parquet" / "joint.parquet")
+    for agent, expected in zip(AGENTS, agents, strict=True):
+        for name in ("observation", "action", "reward", "next_observation"):
+            found = column(table, f"{agent}.{name}")
+            assert found.tobytes() == expected[f"{name}s"].tobytes()
+    state = np.array([step.state[copy] for _, copy, step in rows])
+    assert column(table, "state").tobytes() == state.tobytes()
+    seeds = [int(step.episode_seeds[copy]) for _, copy, step in rows]
+    assert column(table, "episode_seed").tolist() == seeds
+
+    frames = pq.read_table(tmp_path / "lerobot" / "joint" / "data")
+    actions = np.concatenate([expected["actions"] for expected in agents], axis=1)
+    assert column(frames, "action").tobytes() == actions.tobytes()
+    assert column(frames, "next.reward").shape == (600, 3)
+
+    episodes = minari_episodes(tmp_path / "minari", "joint")
+    for agent, expected in zip(AGENTS, agents, strict=True):
+        taken = np.concatenate([episode.actions[agent] for episode in episodes])
+        own = np.concatenate([episode.infos["rewards"][agent] for episode in episodes])
+        assert taken.tobytes() == expected["actions"].tobytes()
+        assert own.tobytes() == expected["rewards"].tobytes()
+    team = np.concatenate([episode.rewards for episode in episodes])
+    assert (team == agents[0]["rewards"]).all()  # all hoppers have the same reward
+
+
+def test_minari_sets_are_found_by_their_names(
+    hopper: Deployments, replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import minari
+
+    replay(*hopper.paths, "--export", "minari", "--out", tmp_path / "out")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "out"))
+    data = minari.load_dataset("agent_1-v0")
+    assert (data.total_steps, data.action_space.shape) == (600, (1,))
+    assert set(minari.list_local_datasets()) == {
+        "agent_0-v0",
+        "agent_1-v0",
+        "agent_2-v0",
+        "joint-v0",
+    }
+
+
+def test_what_is_exported_as_d4rl_or_minari_can_be_imported_again(
+    replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
+    path = tmp_path / "a.mcap"
+    alone = Deployments([path], [play("hopper-1x3", path, 120)])
+    expected = alone.of_agent(0)
+    for form, place in (("d4rl", "agent_0.hdf5"), ("minari", "agent_0-v0")):
+        replay(path, "--export", form, "--out", tmp_path / form)
+        import_files([tmp_path / form / place], form, "hopper-1x3")
+        joint = store.load_joint(f"hopper-1x3/{form}")
+        for name in ("observations", "actions", "rewards", "next_observations"):
+            assert getattr(joint, name)[0].tobytes() == expected[name].tobytes()
+        assert joint.terminated.tolist() == expected["terminated"].tolist()
+
+
+def test_a_part_of_a_log_is_exported(hopper: Deployments, replay: Replay, tmp_path: Path) -> None:
+    some = Deployments(hopper.paths[:1], [hopper.steps[0][40:90]])
+    replay(*some.paths, "--export", "parquet", "--out", tmp_path / "a", "--steps", "40:90")
+    same_bits(read_parquet(tmp_path / "a", "agent_1"), some.of_agent(1))
+    replay(*some.paths, "--export", "parquet", "--out", tmp_path / "b", "--episode", 1)
+    found = read_parquet(tmp_path / "b", "agent_1")
+    assert found["starts"].tolist() == [0] and set(found["copy"].tolist()) == {1}
+
+
+def test_any_bits_survive_and_many_blocks_and_an_unfinished_log(
+    replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NaN, infinities, negative zero; more data than are read or written at once."""
+    monkeypatch.setattr("otc_dist.replay.export.command._BATCH", 300)
+    made = Recording(((50, 3), (40, 2)), copies=2, steps=900)
+    made.write(tmp_path / "log.mcap").close()
+    whole = Deployments([tmp_path / "log.mcap"], [made.steps])
+    for form in ("parquet", "d4rl"):
+        replay(*whole.paths, "--export", form, "--out", tmp_path / form)
+        for index in (0, 1):
+            found = READERS[form](tmp_path / form, f"agent_{index}")
+            same_bits(found, whole.of_agent(index))
+
+
+def test_minari_episodes_are_cut_where_the_next_observation_is_another(
+    replay: Replay, tmp_path: Path
+) -> None:
+    made = Recording(((3, 1), (2, 2)), copies=1, steps=6)
+    for t in range(6):
+        ends = np.zeros(1, np.bool_)
+        made.steps[t] = replace(made.steps[t], terminated=ends, truncated=ends)
+        if t in (1, 2, 4):  # what follows steps 0, 1 and 3
+            seen = made.steps[t - 1].next_observations
+            made.steps[t] = replace(made.steps[t], observations=seen)
+    made.finish(tmp_path / "log.mcap")
+    replay(tmp_path / "log.mcap", "--export", "minari", "--out", tmp_path / "out")
+    lengths = [len(episode) for episode in minari_episodes(tmp_path / "out", "agent_0")]
+    assert lengths == [3, 2, 1]
+
+
+class Gaps:
+    """Stands for a log that lacks steps, which is read in small blocks."""
+
+    def __init__(self, path: Path, missing: range) -> None:
+        self._log, self._missing = OpenLog(path), missing
+        self.header, self.layout = self._log.header, self._log.layout
+
+    def blocks(self, start: int, stop: int) -> Sequence[Rows]:
+        rows = np.concatenate(list(self._log.blocks(start, stop)))
+        kept = rows[~np.isin(rows["step"], list(self._missing))]
+        return [kept[first : first + 7] for first in range(0, len(kept), 7)]
+
+
+@pytest.mark.parametrize("missing", [range(0), range(0, 5), range(20, 22), range(27, 29)])
+def test_no_trajectory_goes_over_steps_that_are_missing(
+    hopper: Deployments, missing: range
+) -> None:
+    log: Any = Gaps(hopper.paths[0], missing)
+    found = list(trajectories(log, Selection(0, 150, AGENTS), 0))
+    for part in found:
+        steps = range(part.start, part.start + len(part))
+        assert not set(steps) & set(missing)
+        for row, t in enumerate(steps):
+            step = hopper.steps[0][t]
+            assert part.state[row].tobytes() == step.state[part.copy].tobytes()
+            assert part.seed == step.episode_seeds[part.copy]
+        ends = part.terminated | part.truncated
+        assert not ends[:-1].any()
+    assert sum(map(len, found)) == 2 * (150 - len(missing))
+    whole = [part for part in hopper.trajectories() if part[0][0] == 0]
+    assert len(found) <= len(whole) + 2
+
+
+def test_an_export_that_exists_is_replaced_only_by_force_and_nothing_else_ever(
+    hopper: Deployments, replay: Replay, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    command = (*hopper.paths[:1], "--export", "csv", "--out", tmp_path / "out")
+    replay(*command)
+    before = (tmp_path / "out" / "agent_0.csv").read_bytes()
+    assert "--force" in refused(*command)
+    replay(*command, "--force", "--steps", "0:10")
+    assert len((tmp_path / "out" / "agent_0.csv").read_bytes()) < len(before)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "letter.txt").touch()
+    message = refused(*command[:-1], tmp_path / "mine", "--force")
+    assert "something else" in message
+    assert (tmp_path / "mine" / "letter.txt").exists()
+
+
+def test_mistakes_are_one_line(
+    hopper: Deployments, refused: Callable[..., str], tmp_path: Path
+) -> None:
+    out = ("--export", "csv", "--out", tmp_path / "out")
+    assert "--out" in refused(*hopper.paths, "--export", "csv")
+    assert "has no agent 'agent_9'" in refused(*hopper.paths, *out, "--agent", "agent_9")
+    play("navigation", tmp_path / "other.mcap", 5, run="r", deployment=3)
+    assert "of navigation" in refused(*hopper.paths, tmp_path / "other.mcap", *out)
+    (tmp_path / "text.mcap").write_text("hello")
+    assert "is not an MCAP file" in refused(tmp_path / "text.mcap", *out)
+    damaged = bytearray(hopper.paths[0].read_bytes())
+    damaged[len(damaged) // 3] ^= 1
+    (tmp_path / "damaged.mcap").write_bytes(damaged)
+    assert "is damaged" in refused(tmp_path / "damaged.mcap", *out)
+    assert not any(path.name.startswith((".out", "out")) for path in tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("form", "library"), [("csv", "pyarrow"), ("d4rl", "h5py"), ("minari", "minari")]
+)
+def test_without_its_library_the_extra_is_named(
+    hopper: Deployments,
+    refused: Callable[..., str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    form: str,
+    library: str,
+) -> None:
+    for module in [name for name in sys.modules if name.startswith("otc_dist.replay.export.")]:
+        if not module.endswith(("formats", "trajectories", "command", "room")):
+            monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, library, None)
+    message = refused(hopper.paths[0], "--export", form, "--out", tmp_path / "out")
+    assert "pip install 'otc-dist[export]'" in message and library in message
+
+
+LIMITED = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+from otc_dist.errors import run_main
+from otc_dist.replay.__main__ import main
+run_main(main)
+"""
+
+
+@pytest.mark.parametrize("form", ["minari", "parquet"])
+def test_without_room_on_the_disk_nothing_is_left_behind(
+    hopper: Deployments, tmp_path: Path, form: str
+) -> None:
+    """No file may grow beyond 200 kB: to the program as if the disk were full."""
+    arguments = (str(hopper.paths[0]), "--export", form, "--out", str(tmp_path / "out"))
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, *arguments],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    (line,) = done.stderr.splitlines()
+    assert (done.returncode, line) == (2, f"error: cannot write {tmp_path / 'out'}: File too large")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupted_export_leaves_nothing_behind(
+    hopper: Deployments, replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("otc_dist.replay.export.command.require_room", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        replay(*hopper.paths, "--export", "lerobot", "--out", tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
