@@ -10,6 +10,7 @@ COMMANDS = {
     "compare": ".compare",
     "mechanism": ".mechanism",
     "status": ".status",
+    "chaos": ".chaos",
 }
 
 

@@ -97,7 +97,7 @@ class Supervisor:
                 stderr=None if sink is None or show_errors else subprocess.STDOUT,
                 env={**os.environ, **ONE_THREAD, "PYTHONUNBUFFERED": "1"},
                 process_group=0,
-                preexec_fn=_die_with(os.getpid()) if sys.platform == "linux" else None,
+                preexec_fn=die_with_parent(),
             )
         finally:
             if sink is not None:
@@ -155,8 +155,14 @@ def _signal_group(leader: int, number: signal.Signals) -> None:
         os.killpg(leader, number)
 
 
-def _die_with(parent: int) -> Callable[[], None]:
-    """What the child does between fork and exec: ask the kernel to end it with its parent."""
+def die_with_parent() -> Callable[[], None] | None:
+    """What a child does between fork and exec: ask the kernel to end it with its parent.
+
+    None where the kernel does not offer that.
+    """
+    if sys.platform != "linux":
+        return None
+    parent = os.getpid()
     prctl = ctypes.CDLL(None, use_errno=True).prctl  # looked up before the fork
 
     def arrange() -> None:

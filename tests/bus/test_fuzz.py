@@ -4,12 +4,13 @@ import pytest
 
 from otc_dist.bus import handshake, history
 from tests.bus import fuzz
+from tests.bus.receivers import RECEIVERS
 
 COUNT = 3000  # at each receiver
 ENOUGH = 4 * 2**20  # bytes that a process's memory may seem to grow by chance
 
 
-@pytest.mark.parametrize("receiver", fuzz.RECEIVERS)
+@pytest.mark.parametrize("receiver", RECEIVERS)
 def test_what_is_not_expected_is_rejected_counted_and_forgotten(
     receiver: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,190 @@
+"""`launch chaos`: break runs in every way, and compare what they end with to an undisturbed run."""
+
+import argparse
+import random
+import shutil
+import statistics
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from otc_dist.errors import UserError, unknown
+
+from . import chaos_arena
+from .chaos_faults import FAULTS, Fault, MissedError, Place
+from .chaos_outcome import differences, outcome
+from .chaos_run import PHASES, DisturbedRun, StuckError
+from .parser import Parser
+
+# The smallest run with every phase, each long enough to be hit.
+SHORT_RUN = (
+    *("cooperative_navigation", "--set", "env.agents=2", "--set", "algorithm.name=td3bc"),
+    *("--set", "algorithm.hidden=[32,32]", "--set", "algorithm.batch_size=32"),
+    *("--set", "dataset.transitions=1500", "--set", "engine.name=eager"),
+    *("--set", "embedding.updates=50", "--set", "offline.updates=600"),
+    *("--set", "sampling.candidates=64", "--set", "sampling.references=64"),
+    *("--set", "sampling.similarity_sample=500", "--set", "deployment.count=3"),
+    *("--set", "deployment.transitions=1200", "--set", "deployment.updates=300"),
+    *("--set", "evaluation.episodes=4", "--set", "bus.answer_deadline=60.0"),
+)
+AIM = 5.0  # seconds that a fault waits for the phase in which it is to strike
+SCATTER = 0.7  # seconds within which it then strikes, at random
+WHOLE = {name: 100 if name.startswith("kill-") else 20 for name in FAULTS if name != "any"}
+
+_EXPLANATION = """\
+Runs one short run undisturbed, and then as many as it takes for the faults that are asked for,
+each at a random time. What dies is started again by its launcher; a launcher that dies, or that
+ends because the disk is full, is resumed. At its end every run must have the same weights, the
+same log payloads and the same returns as the undisturbed one, to the byte.
+"""
+
+
+@dataclass
+class Tally:
+    """What came of one kind of fault."""
+
+    struck: int = 0
+    runs: int = 0
+    wrong: list[str] = field(default_factory=list)
+    phases: Counter[str] = field(default_factory=Counter)
+    seconds: list[float] = field(default_factory=list)  # from a fault until all are up again
+    skipped: str = ""
+
+
+def main(argv: list[str]) -> int:
+    """Returns 0 if every run ended as the undisturbed one.
+
+    Raises:
+        UserError: an unknown fault.
+    """
+    arguments = _parser().parse_args(argv)
+    wanted = _wanted(arguments.faults)
+    chaos_arena.enter()
+    out: Path = (arguments.out or Path(tempfile.mkdtemp(prefix="otc-chaos-"))).resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    start = time.monotonic()
+    with chaos_arena.prepared(out) as arena:
+        place = Place(out, arena)
+        print(f"{out}: an undisturbed run ...", flush=True)
+        calm = DisturbedRun(out / "undisturbed", SHORT_RUN)
+        with calm:
+            calm.start()
+            calm.finish()
+        tallies = {
+            name: _inflict(name, count, place, arguments.seed, outcome(calm.folder))
+            for name, count in wanted.items()
+        }
+    print(f"\n{(time.monotonic() - start) / 60:.0f} min, seed {arguments.seed}")
+    print("\n".join(_table(tallies)))
+    wrong = any(tally.wrong for tally in tallies.values())
+    if not wrong and arguments.out is None:
+        shutil.rmtree(out)
+    return int(wrong)
+
+
+def _inflict(
+    name: str, count: int, place: Place, seed: int, expected: Mapping[str, bytes]
+) -> Tally:
+    """Strike `count` times, in as many runs as it takes."""
+    tally, make = Tally(), FAULTS[name]
+    tally.skipped = make(place).impossible
+    while not tally.skipped and tally.struck < count and len(tally.wrong) < 3:
+        fault = make(place)
+        numbers = random.Random(f"{seed} {name} {tally.runs}")
+        folder = place.room(fault) / f"{name.rstrip('%')}-{tally.runs:03d}"
+        run = DisturbedRun(folder, (*SHORT_RUN, *fault.flags))
+        try:
+            with run, fault:
+                _one_run(run, fault, numbers, count, tally)
+            wrong = differences(outcome(run.folder), expected)
+        except (StuckError, OSError, UserError) as error:
+            wrong = [f"{type(error).__name__}: {error}"]
+        tally.runs += 1
+        if wrong:
+            tally.wrong.append(f"{folder}: {', '.join(wrong)}")
+            print(f"WRONG: {tally.wrong[-1]}", file=sys.stderr, flush=True)
+            _keep(folder, place.out / "wrong" / folder.name)
+        else:
+            shutil.rmtree(folder)
+        print(f"{name}: {tally.struck} of {count}, {tally.runs} runs", flush=True)
+    return tally
+
+
+def _one_run(
+    run: DisturbedRun, fault: Fault, numbers: random.Random, count: int, tally: Tally
+) -> None:
+    run.start()
+    struck = 0.0
+    while run.settle():
+        if struck:
+            tally.seconds.append(time.monotonic() - struck)
+            struck = 0.0
+        if tally.struck >= count:
+            run.finish()
+            return
+        if not run.wait_for_phase(numbers.choice(PHASES), AIM):
+            return
+        if not run.wait(numbers.uniform(0.0, SCATTER)):
+            return
+        phase = run.phase
+        try:
+            struck = time.monotonic()
+            fault.strike(run, numbers)
+        except MissedError:
+            struck = 0.0
+            run.wait(SCATTER)
+            continue
+        tally.struck += 1
+        tally.phases[phase] += 1
+
+
+def _keep(folder: Path, where: Path) -> None:
+    if folder.exists():
+        shutil.copytree(folder, where, dirs_exist_ok=True)
+        shutil.rmtree(folder)
+
+
+def _table(tallies: Mapping[str, Tally]) -> list[str]:
+    row = "{:22} {:>7} {:>5} {:>9}  {:>7} {:>9} {:>6} {:>7}  {:>9}"
+    lines = [row.format("fault", "struck", "runs", "identical", *PHASES, "back in s")]
+    for name, tally in tallies.items():
+        if tally.skipped:
+            lines.append(f"{name:22} skipped: {tally.skipped}")
+            continue
+        back = f"{statistics.median(tally.seconds):.1f}" if tally.seconds else ""
+        same = f"{tally.runs - len(tally.wrong)}"
+        where = [tally.phases[phase] for phase in PHASES]
+        lines.append(row.format(name, tally.struck, tally.runs, same, *where, back))
+    return lines
+
+
+def _wanted(given: list[str]) -> dict[str, int]:
+    """From `kill-host=100` to how often; nothing given: the whole table."""
+    wanted = {}
+    for text in given:
+        name, _, count = text.partition("=")
+        if name not in FAULTS:
+            raise unknown("fault", name, FAULTS)
+        if not count.isdigit():
+            raise UserError(f"how often? write it as {name}=20")
+        wanted[name] = int(count)
+    return wanted or WHOLE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        prog="python -m otc_dist.launch chaos",
+        description=_EXPLANATION,
+        epilog=f"faults: {', '.join(FAULTS)}",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "faults", nargs="*", metavar="FAULT=COUNT", help="as kill-host=100 (default: all)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of what strikes when (default: 0)")
+    parser.add_argument("--out", type=Path, help="folder of the runs (default: a temporary one)")
+    return parser
