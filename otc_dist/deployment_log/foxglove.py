@@ -52,7 +52,8 @@ class FoxgloveChannels:
         self._tuning: dict[str, int] = {}
         self._shown: list[int] = []  # the levels of the newest `/scene`
         self._returns = [0.0] * len(self._team.agents)
-        self._episode, self._episode_step, self._next_step = 0, 0, 0
+        self._episode, self._episode_step = 0, 0
+        self._next_step: int | None = None
 
     def _register(self, topic: str, name: str, schema: bytes) -> int:
         number = self._writer.register_schema(name, "jsonschema", schema)
@@ -75,7 +76,7 @@ class FoxgloveChannels:
         for t, (step, log_time) in enumerate(
             zip(rows["step"].tolist(), rows["log_time"].tolist(), strict=True)
         ):
-            if step != self._next_step:  # steps are missing, and with them the episode's end
+            if self._next_step not in (None, step):  # the episode's end is missing
                 self._end_episode()
             self._next_step = step + 1
             self._write_scalars(rows[t], step, log_time)

@@ -2,9 +2,6 @@
 
 import io
 import json
-import os
-import shutil
-import subprocess
 from pathlib import Path
 
 import msgpack
@@ -14,7 +11,7 @@ from mcap.exceptions import EndOfFile
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import CRCValidationError
 
-_NPM_PACKAGES = ("@mcap/core@2.2.2", "fzstd@0.1.1", "@msgpack/msgpack@3.1.2")
+from .javascript import run_script
 
 
 def check_against_header(messages, header: dict[str, str], expected) -> None:
@@ -153,40 +150,10 @@ console.log(JSON.stringify({ profile: reader.header.profile, sums }));
 """
 
 
-@pytest.fixture(scope="session")
-def node_folder() -> Path:
-    """A folder with the npm packages, kept between test sessions."""
-    if not (shutil.which("node") and shutil.which("npm")):
-        pytest.skip("node and npm are not installed")
-    base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    folder = base / "otc_dist_tests" / "npm-2"
-    if not (folder / "ready").exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "package.json").write_text('{"private": true, "type": "module"}')
-        installed = subprocess.run(
-            ["npm", "install", "--no-audit", "--no-fund", *_NPM_PACKAGES],
-            cwd=folder, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        if installed.returncode:
-            pytest.skip(f"npm cannot install @mcap/core: {installed.stderr[-200:]}")
-        (folder / "ready").touch()
-    return folder
-
-
 @pytest.mark.slow
-def test_the_javascript_library_reads_a_log(tmp_path: Path, recording, node_folder: Path) -> None:
+def test_the_javascript_library_reads_a_log(tmp_path: Path, recording) -> None:
     made = recording(((40, 9),) * 3, 4, 200)  # several chunks
-    path = made.finish(tmp_path / "log.mcap")
-    script = node_folder / f"read_{os.getpid()}.mjs"
-    script.write_text(_SCRIPT)
-    try:
-        out = subprocess.run(
-            ["node", str(script), str(path)], capture_output=True, text=True, check=False
-        )
-    finally:
-        script.unlink()
-    assert out.returncode == 0, out.stderr
-    found = json.loads(out.stdout)
+    found = json.loads(run_script(_SCRIPT, made.finish(tmp_path / "log.mcap")))
     assert found["profile"] == "x-otc-dist"
     assert len(found["sums"]) == 200
     for (sequence, number, rewards, exploring), step in zip(found["sums"], made.steps, strict=True):

@@ -1,0 +1,56 @@
+"""Other people's JavaScript, to read our logs with."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+_PACKAGES = (
+    "@mcap/core@2.2.2",
+    "fzstd@0.1.1",
+    "@msgpack/msgpack@3.1.2",
+    "@foxglove/schemas@2.1.0",
+    "ajv@8.20.0",
+)
+
+
+def run_script(script: str, *arguments: object) -> str:
+    """What a module printed; skips the test where Node, npm or the packages cannot be had."""
+    folder = _folder()
+    path = folder / f"script_{os.getpid()}.mjs"
+    path.write_text(script)
+    try:
+        out = subprocess.run(
+            ["node", str(path), *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    finally:
+        path.unlink()
+    assert out.returncode == 0, out.stderr
+    return out.stdout
+
+
+def _folder() -> Path:
+    """A folder with the packages, kept between test sessions."""
+    if not (shutil.which("node") and shutil.which("npm")):
+        pytest.skip("node and npm are not installed")
+    base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    folder = base / "otc_dist_tests" / "npm-3"
+    if not (folder / "ready").exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "package.json").write_text('{"private": true, "type": "module"}')
+        installed = subprocess.run(
+            ["npm", "install", "--no-audit", "--no-fund", *_PACKAGES],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if installed.returncode:
+            pytest.skip(f"npm cannot install what reads logs: {installed.stderr[-200:]}")
+        (folder / "ready").touch()
+    return folder
