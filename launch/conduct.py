@@ -44,6 +44,8 @@ def conduct(plan: Plan, record: RunRecord) -> int:
     if record.quick:
         title += f" ({descriptions.QUICK_LABEL})"
     print(f"{title}: {plan.folder.root}", flush=True)
+    if plan.place.meeting:
+        print(plan.place.meeting, flush=True)
     with Signals() as signals:
         try:
             with Supervisor(signals) as supervisor:

@@ -12,6 +12,7 @@ from otc_dist.description import Description
 from otc_dist.errors import UserError, unknown
 from otc_dist.spec import TeamSpec
 
+_PATIENCE = 24 * 3600  # seconds: other hosts may be started by hand, and make their data first
 Role = Literal["all", "host", "learner"]
 
 
@@ -105,18 +106,27 @@ class Place:
         names = {"all": (HOST, *team.names), "host": (HOST,), "learner": (self.agent,)}
         return names[self.role]
 
-    def flags(self, process: str) -> Iterator[str]:
-        """What the command line of a process says of where it meets the others."""
+    def flags(self) -> Iterator[str]:
+        """What the command lines of the processes say of where they meet the others."""
         if self.connect:
             yield from ("--connect", self.connect)
-        elif self.listen and process == HOST:
+        elif self.listen:
             yield from ("--listen", self.listen)
-        else:
-            return
+        if self.role != "all":
+            yield from ("--patience", str(_PATIENCE))
         if self.certs:
             yield from ("--certs", self.certs)
         if self.insecure:
             yield "--insecure"
+
+    @property
+    def meeting(self) -> str:
+        """In words, where the processes of this machine meet those of others; "" if nowhere."""
+        if self.listen:
+            return f"the learners of other hosts are awaited at {self.listen}"
+        if self.connect and self.role != "all":
+            return f"the other hosts are met at {self.connect}"
+        return f"all processes meet at {self.connect}" if self.connect else ""
 
     def observed_at(self, run: Path) -> Door:
         """Where the launcher itself looks on: as the learner that it starts, or as an observer."""

@@ -8,8 +8,7 @@ import argparse
 import json
 import logging
 import os
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,7 +29,8 @@ from otc_dist.transitions import Float32, JointStep
 
 from .history import history_of
 from .host_state import HostState, write_atomically
-from .process import FailureError, Run, door_at, parser, serve
+from .presence import Presence
+from .process import FailureError, Run, door_at, parser, patience, serve
 from .resimulation import resimulate
 
 log = logging.getLogger(__name__)
@@ -58,17 +58,21 @@ class EnvHost:
         self._phase, self._deployment, self._step, self._total = "starting", 0, 0, 0
         self._metrics: dict[str, float] = {}
         self.heartbeat = Heartbeat(session, run.keys, HOST, self._rejections, self._status)
-        self._present: set[str] = set()
-        self._changed = threading.Condition()
+        self._presence = Presence(session, run.keys, run.team.names)
         for agent in run.team.names:
             session.answer(run.keys.history(agent), history_of(run, agent, self._rejections))
-            session.watch_alive(run.keys.alive(agent), self._presence_of(agent))
         offer(session, run.keys, run.spec)
         session.declare_alive(run.keys.alive(HOST))
 
-    def serve(self) -> None:
-        """Go through all phases that are not finished yet."""
+    def serve(self, patience: float | None) -> None:
+        """Go through all phases that are not finished yet.
+
+        `patience`: seconds to wait first until all learners have come; None: they will.
+        """
         with self.heartbeat:
+            if patience is not None:
+                self._enter("gathering", 0, 0)
+                self._presence.wait_for_all(patience)
             self._evaluate(0)
             for k in range(1, self._description.deployment.count + 1):
                 self._deploy(k)
@@ -78,8 +82,7 @@ class EnvHost:
             nothing = [Observation(moment, None, None)] * len(self._run.team.agents)
             self._lockstep.ask(nothing, acting=False)
             self._enter("done", count, 0)
-            with self._changed:
-                self._changed.wait_for(lambda: not self._present, timeout=_FAREWELL)
+            self._presence.wait_for_none(_FAREWELL)
 
     def _evaluate(self, k: int) -> None:
         """Play each copy's first episode with pi_k, greedily, and write the returns."""
@@ -219,14 +222,6 @@ class EnvHost:
         metrics = {"epoch": float(self._state.epoch), **self._metrics}
         return Status(HOST, self._phase, self._deployment, self._step, self._total, 0.0, metrics)
 
-    def _presence_of(self, agent: str) -> Callable[[bool], None]:
-        def note(alive: bool) -> None:
-            with self._changed:
-                (self._present.add if alive else self._present.discard)(agent)
-                self._changed.notify_all()
-
-        return note
-
 
 def _actions(answers: Sequence[Action]) -> list[Float32]:
     return [answer.actions for answer in answers if answer.actions is not None]
@@ -258,7 +253,7 @@ def _open(run: Run, arguments: argparse.Namespace) -> Session:
     maximum, local = run.maximum_payload, run.local_door
     if arguments.connect:
         router = door_at(arguments.connect, HOST, arguments)
-        return Session.connect(router, maximum, run.description.bus.answer_deadline)
+        return Session.connect(router, maximum, patience(run, arguments))
     if not arguments.listen:
         return Session.listen([local], maximum)
     door = door_at(arguments.listen, HOST, arguments)
@@ -290,7 +285,7 @@ def main() -> None:
         run = Run.open(arguments.run)
         session = _open(run, arguments)
         try:
-            EnvHost(run, session).serve()
+            EnvHost(run, session).serve(arguments.patience)
         finally:
             session.close()
             remove_local_endpoint(run.local_door.endpoint)

@@ -21,7 +21,7 @@ from otc_dist.spec import AgentSpec
 
 from .gathering import Gathering
 from .metrics import MetricsFile
-from .process import Run, door_at, parser, serve
+from .process import Run, door_at, parser, patience, serve
 
 if TYPE_CHECKING:
     from otc_dist.learner import Learner, Progress
@@ -238,9 +238,11 @@ def main() -> None:
         door = run.local_door
         if arguments.connect:
             door = door_at(arguments.connect, agent.name, arguments)
-        deadline = run.description.bus.answer_deadline
+        deadline = patience(run, arguments)
         with Session.connect(door, run.maximum_payload, deadline) as session:
             rejections = Rejections()
+            if not run.description.bus.router:  # it listens, so it can answer
+                deadline = run.description.bus.answer_deadline
             agree(session, run.keys, run.spec, deadline, rejections)
             service = LearnerService(run, agent, session, rejections)
             with service.heartbeat:
