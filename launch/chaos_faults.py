@@ -93,9 +93,15 @@ class KillLauncher(Fault):
 
 
 class Freeze(Fault):
-    """SIGSTOP to a process: half of them go on after a while, the others are found and killed."""
+    """SIGSTOP to a process: half of them go on after a while, the others are found and killed.
+
+    One in five times it is the launcher, which always goes on.
+    """
 
     def strike(self, run: DisturbedRun, numbers: Random) -> None:
+        if numbers.random() < 0.2:
+            run.freeze_launcher(numbers.uniform(0.1, 5.0))
+            return
         name, process = _victim(run, numbers)
         _send(process.pid, signal.SIGSTOP)
         if numbers.random() < 0.5:

@@ -155,6 +155,13 @@ class DisturbedRun:
             self._check(deadline, "its processes outlive the launcher")
             time.sleep(LOOK)
 
+    def freeze_launcher(self, seconds: float) -> None:
+        """SIGSTOP, and SIGCONT after a while."""
+        assert self._launcher is not None
+        self._launcher.send_signal(signal.SIGSTOP)
+        time.sleep(seconds)
+        self._launcher.send_signal(signal.SIGCONT)
+
     @property
     def phase(self) -> str:
         """Where the run stands: one of PHASES."""

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.bus.keys import Uses
 from otc_dist.launch import descriptions, health
 from otc_dist.launch.crew import Crew, DiedError
+from otc_dist.launch.place import Place
 from otc_dist.launch.plan import Plan, Process
 from otc_dist.launch.resolve import resolve
 from otc_dist.launch.signals import Signals
@@ -34,11 +36,12 @@ def crew_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
         def make(**commands: list[str]) -> Crew:
             processes = tuple(
-                Process(name, (sys.executable, "-c", *command), (), (), ())
+                Process(name, (sys.executable, "-c", *command), Uses())
                 for name, command in commands.items()
             )
             team = TeamSpec("navigation", (), 0, 1)
-            crew = Crew(Plan(description, RunFolder(tmp_path), team, processes), supervisor)
+            plan = Plan(description, RunFolder(tmp_path), team, processes, Place())
+            crew = Crew(plan, supervisor)
             crew.wait = lambda: signals.wait(0.01)  # type: ignore[attr-defined]
             return crew
 
