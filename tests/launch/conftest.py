@@ -5,8 +5,9 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,13 +15,21 @@ DEADLINE = 240.0  # seconds: a test that waits longer has failed
 
 
 class Launcher:
-    """A launcher process whose output is read line by line."""
+    """A launcher process whose output is read line by line.
 
-    def __init__(self, *arguments: str, cwd: Path) -> None:
+    Args:
+        prefix: what its command line begins with.
+        cache: a cache of data sets other than that of all tests.
+    """
+
+    def __init__(
+        self, *arguments: str, cwd: Path, prefix: Sequence[str] = (), cache: Path | None = None
+    ) -> None:
         self.lines: list[str] = []
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "otc_dist.launch", *arguments],
+            [*prefix, sys.executable, "-m", "otc_dist.launch", *arguments],
             cwd=cwd,
+            env={**os.environ, "OTC_DIST_CACHE": str(cache)} if cache else None,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -64,8 +73,8 @@ def launch(tmp_path: Path) -> Iterator[Callable[..., Launcher]]:
     """Start a launcher in a folder of the test's own; it is gone when the test ends."""
     started: list[Launcher] = []
 
-    def start(*arguments: str, cwd: Path = tmp_path) -> Launcher:
-        started.append(Launcher(*arguments, cwd=cwd))
+    def start(*arguments: str, cwd: Path = tmp_path, **how: Any) -> Launcher:
+        started.append(Launcher(*arguments, cwd=cwd, **how))
         return started[-1]
 
     yield start

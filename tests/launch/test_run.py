@@ -2,20 +2,23 @@
 
 import json
 import os
+import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 
+from otc_dist import certs
 from otc_dist.datasets.importers import import_files
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.run_record import RunRecord
 from otc_dist.run_folder import RunFolder
 
 from .conftest import Launcher, processes_of, wait_for_end
+from .namespaces import star
 
 pytestmark = pytest.mark.slow
 
@@ -23,12 +26,16 @@ Launch = Callable[..., Launcher]
 AGENTS = ("agent_0", "agent_1", "agent_2")
 
 
-def outcome(folder: RunFolder) -> dict[str, object]:
-    """All that must not depend on what happened on the way: weights, logs, returns."""
+def outcome(folder: RunFolder, learners: Sequence[RunFolder] = ()) -> dict[str, object]:
+    """All that must not depend on what happened on the way: weights, logs, returns.
+
+    `learners`: where the agents' checkpoints lie, if not in the same folder.
+    """
     found: dict[str, object] = {}
-    for agent in AGENTS:
+    for index, agent in enumerate(AGENTS):
+        own = learners[index] if learners else folder
         for k in range(3):
-            found[f"{agent} {k}"] = folder.checkpoint(agent, k).read_bytes()
+            found[f"{agent} {k}"] = own.checkpoint(agent, k).read_bytes()
     for k in (1, 2):
         with folder.deployment(k).open("rb") as file:
             found[f"deployment {k}"] = [
@@ -51,8 +58,8 @@ def finished(
     return RunFolder(place / "run"), launcher
 
 
-def same(folder: RunFolder, reference: RunFolder) -> None:
-    ours, theirs = outcome(folder), outcome(reference)
+def same(folder: RunFolder, reference: RunFolder, learners: Sequence[RunFolder] = ()) -> None:
+    ours, theirs = outcome(folder, learners), outcome(reference)
     assert ours.keys() == theirs.keys()
     assert [name for name in ours if ours[name] != theirs[name]] == []
 
@@ -188,3 +195,34 @@ def test_a_run_trains_from_what_another_one_deployed(
         trained = [folder.checkpoint(agent, k).read_bytes() for k in (0, 1)]
         assert finished[0].checkpoint(agent, 0).read_bytes() not in trained
         assert trained[0] != trained[1]
+
+
+def test_separate_hosts_come_to_the_bytes_of_one_machine(
+    finished: tuple[RunFolder, Launcher],
+    launch: Launch,
+    tmp_path: Path,
+    tiny_flags: tuple[str, ...],
+) -> None:
+    """Each in a network of its own, with its own agent's certificate and data and nothing else."""
+    with star(len(AGENTS)) as (centre, hosts):
+        list(certs.make(tmp_path / "certs", AGENTS, [host.centre for host in hosts], days=1))
+        run = ("3agent_hopper", *tiny_flags, "--role")
+        learners = []
+        for agent, host in zip(AGENTS, hosts, strict=True):
+            home = tmp_path / agent
+            shutil.copytree(tmp_path / "certs" / agent, home / "certs" / agent)
+            there = ("--connect", f"tls/{host.centre}:7447", "--certs", "certs", "--out", "run")
+            where = {"cwd": home, "prefix": host.prefix, "cache": home / "cache"}
+            learners.append(launch(*run, "learner", "--agent", agent, *there, **where))
+        there = ("--listen", "tls/0.0.0.0:7447", "--certs", "certs", "--out", "run")
+        where = {"prefix": centre.prefix, "cache": tmp_path / "cache"}
+        env_host = launch(*run, "host", *there, **where)
+        for launcher in (env_host, *learners):
+            assert launcher.finish() == 0, launcher.text
+    same(
+        RunFolder(tmp_path / "run"), finished[0], [RunFolder(tmp_path / a / "run") for a in AGENTS]
+    )
+    for agent in AGENTS:
+        data = [path.name for path in (tmp_path / agent / "cache").rglob("*.safetensors")]
+        assert data == [f"{agent}.safetensors"]
+    assert list((tmp_path / "cache").rglob("*.safetensors")) == []
