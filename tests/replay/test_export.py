@@ -161,7 +161,8 @@ def test_minari_sets_are_found_by_their_names(
 ) -> None:
     import minari
 
-    replay(*hopper.paths, "--export", "minari", "--out", tmp_path / "out")
+    monkeypatch.chdir(tmp_path)
+    replay(*hopper.paths, "--export", "minari", "--out", "out")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "out"))
     data = minari.load_dataset("agent_1-v0")
     assert (data.total_steps, data.action_space.shape) == (600, (1,))

@@ -33,7 +33,7 @@ class MinariWriter:
     def __init__(self, folder: Path, view: View) -> None:
         self._view = view
         name = f"{view.name}-v0"
-        data = folder / name / "data"
+        data = folder.absolute() / name / "data"  # Minari looks for a relative one in itself
         data.mkdir(parents=True)
         agents = [view.team.agents[i] for i in view.agents]
         self._storage = MinariStorage.new(
