@@ -1,6 +1,9 @@
 """Whatever happens to messages and processes, the run ends with the same bytes."""
 
 import signal
+import socket
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +22,7 @@ def test_lost_and_late_messages_only_cost_time(run: Services, undisturbed: Servi
 
 
 slow = pytest.mark.slow
+ROUTER = Path(__file__).with_name("router.py")
 LAST = 80 // 4  # the question that carries a deployment's last outcome
 MOMENTS = [
     pytest.param(["evaluation", 0, 3], marks=slow),
@@ -147,3 +151,30 @@ def test_another_protocol_version_is_refused_in_one_sentence(run: Services) -> N
     last = run.output("agent_0").splitlines()[-1]
     assert f"protocol version {PROTOCOL_VERSION} and this one 7: install the same version" in last
     assert run.running["host"].poll() is None
+
+
+def test_a_router_between_all_processes_changes_no_byte_even_if_it_is_killed(
+    run: Services, undisturbed: Services
+) -> None:
+    """Somebody else's router, with Zenoh's own defaults; nobody listens but that."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+
+    def route() -> subprocess.Popen[bytes]:
+        return subprocess.Popen([sys.executable, ROUTER, endpoint])
+
+    router = route()
+    try:
+        for process in PROCESSES:
+            faults = {"delay": 0.01} if process == "host" else {"stub": True}
+            run.start(process, "--connect", endpoint, "--insecure", **faults)
+        run.wait_for_file(partial_path(run.folder.deployment(1)))
+        router.kill()
+        router.wait()
+        router = route()
+        assert set(run.wait_all().values()) == {0}, run.output("host")
+    finally:
+        router.kill()
+        router.wait()
+    assert run.result() == undisturbed.result()
+    assert "WARNING: --insecure: whoever reaches" in run.output("agent_0")
