@@ -161,7 +161,10 @@ def _time(log_time: int) -> Json:
 
 
 def _transforms(scene: Scene, poses: list[list[float]], log_time: int) -> Iterator[str]:
-    """The bodies' frames and the view's, as JSON; none for a body that is nowhere."""
+    """The bodies' frames and the view's, as JSON, to the millimetre and to a tenth of a degree.
+
+    None for a body that is nowhere.
+    """
     seconds, rest = divmod(log_time, 10**9)
     view = scene.view
     u = poses[view.follows][0] if view.follows is not None else view.centre[0]
@@ -175,8 +178,8 @@ def _transforms(scene: Scene, poses: list[list[float]], log_time: int) -> Iterat
         # In the upright plane, seen from -y, counterclockwise is about -y.
         yield (
             f'{{"timestamp":{{"sec":{seconds},"nsec":{rest}}},"parent_frame_id":"{WORLD}",'
-            f'"child_frame_id":"{name}","translation":{{"x":{x:.4f},"y":0,"z":{z:.4f}}},'
-            f'"rotation":{{"x":0,"y":{-sin(angle / 2):.4f},"z":0,"w":{cos(angle / 2):.4f}}}}}'
+            f'"child_frame_id":"{name}","translation":{{"x":{x:.3f},"y":0,"z":{z:.3f}}},'
+            f'"rotation":{{"x":0,"y":{-sin(angle / 2):.3f},"z":0,"w":{cos(angle / 2):.3f}}}}}'
         )
 
 

