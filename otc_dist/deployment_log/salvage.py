@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Self
 
 import zstandard
+from mcap.writer import MCAP0_MAGIC
 
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.format import unseal
@@ -24,6 +25,7 @@ _FRAME_MAGIC = bytes.fromhex("28b52ffd")  # RFC 8878
 _LARGEST_WINDOW = 2**27  # bytes that a frame may ask for; ours ask for far less
 _BLOCK = 2**20  # bytes of steps given at once
 _PIECE = 2**16  # bytes decompressed at once
+_RECORD_HEAD = 9  # bytes of a record's opcode and length
 _UINT32 = struct.Struct("<I")
 
 _Bytes = bytes | bytearray | mmap.mmap
@@ -69,7 +71,16 @@ class Salvage:
         for frame in self._frames():  # the channel also stands in the first chunk
             for entries in _maps_behind(channel, frame):
                 return LogHeader.from_entries(entries, self.path)
-        raise UserError(f"{self.path} holds no whole header of a deployment log")
+        raise UserError(f"{self.path} {self._what_else()}")
+
+    def _what_else(self) -> str:
+        """Why a file without a header of ours may have none."""
+        start = len(MCAP0_MAGIC) + _RECORD_HEAD
+        if self._data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
+            return "is not an MCAP file, and holds no whole header of a deployment log"
+        if self._data[start : start + 4 + len(fmt.PROFILE)] != _string(fmt.PROFILE):
+            return f"is an MCAP file, but not of profile {fmt.PROFILE!r}: otc_dist did not write it"
+        return "holds no whole header of a deployment log"
 
     def policies(self) -> dict[str, str]:
         """Agent -> digest of the policy that acted; empty if that is not readable."""

@@ -1,0 +1,70 @@
+"""Files that are no logs of ours are answered in one line, and nothing changes."""
+
+import io
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from otc_dist.deployment_log.writer import LogWriter
+from tests.deployment_log.conftest import Recording
+
+ACTIONS = {
+    "summary": (),
+    "verify": ("--verify",),
+    "recover": ("--recover",),
+    "publish": ("--publish",),
+    "export": ("--export", "csv", "--out", "{}/out"),
+    "html": ("--html", "{}/out.html"),
+}
+FILES = {
+    "missing": "No such file",
+    "empty": "is ",
+    "text": "is not an MCAP file",
+    "bag": "profile",
+    "newer": "is of log version 2, newer than what this otc_dist",
+}
+
+
+def _write(path: Path, kind: str) -> None:
+    if kind == "empty":
+        path.write_bytes(b"")
+    elif kind == "text":
+        path.write_text("a,b\n1,2\n" * 100)
+    elif kind == "bag":
+        out = io.BytesIO()
+        writer = Writer(out)
+        writer.start(profile="ros2")
+        writer.finish()
+        path.write_bytes(out.getvalue())
+    elif kind == "newer":
+        made = Recording(((3, 1), (2, 2)), copies=2, steps=3)
+        writer = LogWriter.create(path, replace(made.header, format_version=2))
+        writer.close()
+        path.with_name(path.name + ".partial").rename(path)
+
+
+@pytest.mark.parametrize("kind", FILES)
+@pytest.mark.parametrize("action", ACTIONS)
+def test_what_is_no_log_of_ours(tmp_path: Path, refused, action: str, kind: str) -> None:
+    path = tmp_path / "log.mcap"
+    _write(path, kind)
+    before = {p.name for p in tmp_path.iterdir()}
+    message = refused(path, *(part.format(tmp_path) for part in ACTIONS[action]))
+    assert FILES[kind] in message and str(path) in message
+    if kind == "newer":
+        assert "at most version 1" in message
+    assert {p.name for p in tmp_path.iterdir()} == before
+
+
+def test_the_line_goes_to_the_error_output_and_the_status_is_2(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "otc_dist.replay", str(tmp_path / "none.mcap")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert (
+        done.stderr
+        == f"error: {tmp_path / 'none.mcap'} cannot be read: No such file or directory\n"
+    )
