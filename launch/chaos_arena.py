@@ -15,7 +15,8 @@ _ENTRIES = (
     ("unshare", "--net", "--mount"),
 )
 DISK_BYTES = 48 * 2**20
-_RULES = "inet otc_dist_chaos"
+_TABLE = "inet otc_dist_chaos"
+_CHAIN = f"{_TABLE} input"
 
 
 @dataclass(frozen=True)
@@ -40,11 +41,11 @@ class Arena:
 
     def mend(self) -> None:
         """No packet is lost any more."""
-        _nft(f"flush chain {_RULES} all")
+        _nft(f"flush chain {_CHAIN}")
 
     def _rule(self, rule: str) -> None:
         self.mend()
-        _nft(f"add rule {_RULES} all {rule}")
+        _nft(f"add rule {_CHAIN} {rule}")
 
 
 def enter() -> None:
@@ -72,8 +73,8 @@ def prepared(out: Path) -> Iterator[Arena]:
     if not net and shutil.which("nft") is None:
         net = "nft is not installed (Debian: nftables)"
     if not net:
-        net = _fails("nft", f"add table {_RULES}") or _fails(
-            "nft", f"add chain {_RULES} all {{ type filter hook input priority 0; }}"
+        net = _fails("nft", f"add table {_TABLE}") or _fails(
+            "nft", f"add chain {_CHAIN} {{ type filter hook input priority 0; }}"
         )
     try:
         yield Arena(small, disk, net)
@@ -92,7 +93,7 @@ def _fails(*command: str) -> str:
     if done.returncode == 0:
         return ""
     lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-    return f"{command[0]}: {lines[-1]}"
+    return f"{command[0]}: {lines[0]}"
 
 
 def _nft(command: str) -> None:

@@ -42,6 +42,7 @@ def configuration(mode: str, maximum_payload: int, settings: Mapping[str, object
         "transport/unicast/qos/enabled": maximum_payload > QUICK_PAYLOAD,
         # Batching stays on: without it, Zenoh 1.10 holds messages back for seconds.
         "transport/link/tx/lease": _LEASE_MS,
+        "transport/unicast/max_sessions": 10_000,  # Zenoh stops at 1,000 by itself
         "low_pass_filter": [
             {
                 "id": "maximum_payload",
