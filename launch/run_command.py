@@ -10,8 +10,9 @@ from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
+from otc_dist.spec import TeamSpec
 
-from . import descriptions, plan, run_record
+from . import descriptions, hosts, plan, run_record
 from .conduct import conduct
 from .parser import Parser
 from .place import Place
@@ -54,7 +55,12 @@ def main(argv: list[str]) -> int:
 def _start(arguments: argparse.Namespace) -> int:
     quick: bool = arguments.quick
     chosen = descriptions.load(arguments.description, arguments.set, arguments.seed, quick)
-    place = Place.of(arguments, chosen, registry.team_spec(chosen.env.id))
+    team = registry.team_spec(chosen.env.id)
+    if arguments.hosts is not None:
+        return _on_hosts(arguments, team, bool(chosen.bus.router))
+    if arguments.ssh:
+        raise UserError("--ssh needs --hosts FILE: on which hosts?")
+    place = Place.of(arguments, chosen, team)
     description = resolve(chosen)
     quickly, whose = "-quick" if quick else "", f"-{place.agent}" if place.agent else ""
     name = f"{description.name}{quickly}-seed{description.seed}{whose}"
@@ -75,6 +81,20 @@ def _start(arguments: argparse.Namespace) -> int:
     with run_record.locked(folder):
         record = run_record.create(folder, description, quick, place)
         return conduct(plan.make(description, folder, record.run, place), record)
+
+
+def _on_hosts(arguments: argparse.Namespace, team: TeamSpec, router: bool) -> int:
+    for flag in ("role", "agent", "listen", "connect", "certs", "out"):
+        if getattr(arguments, flag):
+            raise UserError(f"--hosts says what each host does: leave out --{flag}")
+    file = hosts.Hosts.load(arguments.hosts, team)
+    every = list(hosts.parts(file, hosts.run_words(arguments), arguments.insecure, router))
+    if arguments.insecure:
+        print(INSECURE, file=sys.stderr)
+    if not arguments.ssh:
+        hosts.show(file, every, arguments.insecure)
+        return 0
+    return hosts.run(every, Path("runs") / f"{arguments.hosts.stem}-output")
 
 
 def _resume(arguments: argparse.Namespace) -> int:
@@ -118,13 +138,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--resume", type=Path, metavar="RUN", help="go on with an unfinished run")
     parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
     parser.add_argument("--dry-run", action="store_true", help="print what would run, and stop")
-    hosts = parser.add_argument_group("on several hosts (see docs/hosts.md)")
-    hosts.add_argument("--role", choices=["host", "learner"], help="start this part only")
-    hosts.add_argument("--agent", metavar="NAME", help="whose learner, as agent_0")
-    hosts.add_argument("--listen", metavar="ENDPOINT", help="of the host, as tls/0.0.0.0:7447")
-    hosts.add_argument("--connect", metavar="ENDPOINT", help="to the host, as tls/192.0.2.1:7447")
-    hosts.add_argument("--certs", type=Path, metavar="DIR", help="what otc_dist.certs has made")
-    hosts.add_argument("--insecure", action="store_true", help="no TLS: anybody may read and write")
+    apart = parser.add_argument_group("on several hosts (see docs/hosts.md)")
+    apart.add_argument("--role", choices=["host", "learner"], help="start this part only")
+    apart.add_argument("--agent", metavar="NAME", help="whose learner, as agent_0")
+    apart.add_argument("--listen", metavar="ENDPOINT", help="of the host, as tls/0.0.0.0:7447")
+    apart.add_argument("--connect", metavar="ENDPOINT", help="to the host, as tls/192.0.2.1:7447")
+    apart.add_argument("--certs", type=Path, metavar="DIR", help="what otc_dist.certs has made")
+    apart.add_argument("--insecure", action="store_true", help="no TLS: anybody may read and write")
+    apart.add_argument(
+        "--hosts",
+        type=Path,
+        metavar="FILE",
+        help="print the command of each host in this TOML file",
+    )
+    apart.add_argument("--ssh", action="store_true", help="with --hosts: run them there")
     parser.add_argument("--list", action="store_true", help="list the shipped descriptions")
     return parser
 
