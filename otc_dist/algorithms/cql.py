@@ -8,7 +8,7 @@ backed-up value has no entropy term, and the policy is not warmed up by behaviou
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,6 +23,7 @@ from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
 
 LOG_STD_RANGE = (-5.0, 2.0)
+PARTS = 4  # the critics judge thousands of actions: of so many parts of a batch, one at a time
 CLONE_STD = 0.1  # of the data's actions around the policy's while it clones; ours
 
 
@@ -93,12 +94,11 @@ class Cql(ActorCritic):
         )
 
         target = self.target(state, batch, there, noise["target"])
-        candidates = self.candidates(here, there, noise)
         new, critic_loss = descend(
             new,
             "critic",
             self.critic_learning_rate,
-            lambda critic: self.critic_loss(critic, batch, target, *candidates),
+            *self.critic_losses(batch, target, *self.candidates(here, there, noise)),
         )
         new["critic_target"] = polyak(state["critic_target"], new["critic"], self.target_rate)
         return new, torch.stack((critic_loss, actor_loss, temperature[0], target.mean()))
@@ -160,6 +160,19 @@ class Cql(ActorCritic):
             torch.cat((uniform, current, following), 1),
             torch.cat((uniform_density, current_density, following_density), 1),
         )
+
+    def critic_losses(
+        self, batch: Batch, target: Tensor, actions: Tensor, log_density: Tensor
+    ) -> list[Callable[[Tensor], Tensor]]:
+        """The shares in the critics' loss of PARTS parts of the batch, as functions of them."""
+        parts = [array.chunk(PARTS) for array in (*batch, target, actions, log_density)]
+
+        def share(*part: Tensor) -> Callable[[Tensor], Tensor]:
+            *fields, y, a, density = part
+            weight = len(y) / len(target)
+            return lambda critic: weight * self.critic_loss(critic, Batch(*fields), y, a, density)
+
+        return [share(*part) for part in zip(*parts, strict=True)]
 
     def critic_loss(
         self, critic: Tensor, batch: Batch, target: Tensor, actions: Tensor, log_density: Tensor

@@ -180,15 +180,19 @@ def descend(
     state: Mapping[str, Tensor],
     name: str,
     learning_rate: float,
-    loss: Callable[[Tensor], Tensor],
+    *losses: Callable[[Tensor], Tensor],
 ) -> tuple[dict[str, Tensor], Tensor]:
     """One step of Adam on the network `name`: the new state, and the loss before the step.
 
     Args:
         state: as `fresh_state` makes it; its `updates` counts this step already.
-        loss: scalar, of the network's parameters (n,).
+        losses: scalars, of the network's parameters (n,), whose sum is the loss. Of several, one
+            gradient is computed after the other: what each needs then fits the processor's cache.
     """
-    value, gradient = value_and_gradient(loss, state[name])
+    value, gradient = value_and_gradient(losses[0], state[name])
+    for loss in losses[1:]:
+        another, part = value_and_gradient(loss, state[name])
+        value, gradient = value + another, gradient + part
     moments = f"{name}_moments"
     parameters, new_moments = adam(
         state[name], gradient, state[moments], state["updates"], learning_rate
