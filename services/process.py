@@ -126,19 +126,7 @@ def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParse
         metavar="SECONDS",
         help="how long the others may take to come (default: bus.answer_deadline)",
     )
-    made.add_argument(
-        "--patience",
-        type=float,
-        metavar="SECONDS",
-        help="how long the others may take to come (default: bus.answer_deadline)",
-    )
     return made
-
-
-def patience(run: Run, arguments: argparse.Namespace) -> float:
-    """Seconds to wait until another process has come."""
-    given: float | None = arguments.patience
-    return run.description.bus.answer_deadline if given is None else given
 
 
 def patience(run: Run, arguments: argparse.Namespace) -> float:
