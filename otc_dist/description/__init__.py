@@ -2,6 +2,7 @@
 
 from otc_dist.description.algorithms import AlgorithmSection as AlgorithmSection
 from otc_dist.description.description import Description as Description
+from otc_dist.description.description import progress as progress
 from otc_dist.description.sections import DeploymentSection as DeploymentSection
 from otc_dist.description.sections import DistanceName as DistanceName
 from otc_dist.description.sections import EmbeddingSection as EmbeddingSection

@@ -108,9 +108,7 @@ class Description(Section):
         return cls.parse(text, assignments, source=str(path))
 
     @classmethod
-    def parse(
-        cls, text: str, assignments: Iterable[str] = (), source: str = "description"
-    ) -> Self:
+    def parse(cls, text: str, assignments: Iterable[str] = (), source: str = "description") -> Self:
         """As `load`, from TOML that `source` holds."""
         try:
             data = tomllib.loads(text)
@@ -143,7 +141,7 @@ class Description(Section):
 
     def progress(self, deployment: int) -> float:
         """The share of the deployments gone in deployment and evaluation k, from 0 to 1."""
-        return max(deployment - 1, 0) / max(self.deployment.count - 1, 1)
+        return progress(deployment, self.deployment.count)
 
     def to_toml(self) -> str:
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True))
@@ -163,6 +161,11 @@ class Description(Section):
         """Identifies what the offline policy pi_0 depends on, as `digest` does the whole."""
         parts = {"seed", "dataset", "algorithm", "embedding", "offline", "engine"}
         return _hash(self.model_dump_json(include=parts) + self.env.id)
+
+
+def progress(deployment: int, count: int) -> float:
+    """The share of `count` deployments gone in deployment and evaluation k, from 0 to 1."""
+    return max(deployment - 1, 0) / max(count - 1, 1)
 
 
 def _hash(text: str) -> str:

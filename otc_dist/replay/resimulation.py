@@ -6,6 +6,7 @@ next, so that one wrong episode does not make all later ones wrong. Behind a gap
 on from the logged state.
 """
 
+import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
-from otc_dist.description import Description
+from otc_dist.description import progress
 from otc_dist.envs import registry
 from otc_dist.envs.base import BatchedEnv, Versioned
 from otc_dist.errors import UserError
@@ -60,9 +61,11 @@ def simulator(log: OpenLog) -> BatchedEnv:
         UserError: it is not known or not installed here, or has other agents.
     """
     header = log.header
-    progress = description(log).progress(header.deployment)
+    # Not by `Description`: what else an older version wrote there need not be understood.
+    count = tomllib.loads(header.description)["deployment"]["count"]
+    gone = progress(header.deployment, count)
     try:
-        env = registry.make(header.team.env_id, header.copies, progress)
+        env = registry.make(header.team.env_id, header.copies, gone)
     except UserError as error:
         raise UserError(f"{log.path} cannot be played again here: {error}") from None
     if env.spec != header.team:
@@ -72,15 +75,6 @@ def simulator(log: OpenLog) -> BatchedEnv:
             f" {header.versions.get('otc_dist', '?')}: agents or sizes differ from this one's"
         )
     return env
-
-
-def description(log: OpenLog) -> Description:
-    """The launch description in a log's header.
-
-    Raises:
-        UserError: this version of otc_dist does not understand it.
-    """
-    return Description.parse(log.header.description, source=f"the description in {log.path}")
 
 
 def other_versions(log: OpenLog, env: BatchedEnv) -> list[str]:

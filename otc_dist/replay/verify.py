@@ -12,6 +12,7 @@ from otc_dist.deployment_log.format import DamagedLogError
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import LogSummary, summarise
 from otc_dist.description import Description
+from otc_dist.errors import UserError
 from otc_dist.exploration import Schedule
 from otc_dist.progress import shown
 from otc_dist.replay import resimulation
@@ -47,15 +48,9 @@ def _findings(arguments: argparse.Namespace, path: Path) -> Iterator[Finding]:
             yield _integrity(log)
             yield _sequence(summary)
             yield _episodes(log, summary)
-            description = resimulation.description(log)
-            yield _length(summary, description)
             yield from _simulation(log, _steps(log, selection, f"{path.name}: playing it again"))
-            names = log.header.team.names
-            indices = selection.indices(names)
             steps = _steps(log, selection, f"{path.name}: acting again")
-            for verdict in check_policies(summary, description, indices, steps):
-                status = None if verdict.holds is None else 0 if verdict.holds else FAILED
-                yield status, f"{verdict.agent}: {verdict.text}"
+            yield from _description(summary, selection, steps)
     except DamagedLogError as error:
         yield FAILED, f"{error}; --recover writes what is whole to another file"
 
@@ -87,6 +82,20 @@ def _sequence(summary: LogSummary) -> Finding:
     if missing != "none":
         return FAILED, f"{missing} are missing"
     return 0, f"steps 0 to {summary.end - 1:,} without a gap"
+
+
+def _description(summary: LogSummary, selection: Selection, steps: Steps) -> Iterator[Finding]:
+    """What depends on the whole description, which another version may have written."""
+    try:
+        description = Description.parse(summary.header.description)
+    except UserError as error:
+        yield None, f"its length and policies, since its description is not understood: {error}"
+        return
+    yield _length(summary, description)
+    indices = selection.indices(summary.header.team.names)
+    for verdict in check_policies(summary, description, indices, steps):
+        status = None if verdict.holds is None else 0 if verdict.holds else FAILED
+        yield status, f"{verdict.agent}: {verdict.text}"
 
 
 def _length(summary: LogSummary, description: Description) -> Finding:

@@ -94,6 +94,16 @@ def test_other_actions_are_found_where_they_first_matter(
     assert told.count("WRONG played again") == 2
 
 
+def test_a_description_of_another_version_hides_no_simulation(
+    logs: dict[str, Path], tmp_path: Path, replay
+) -> None:
+    text = described("navigation", 120, 2).to_toml() + '[new]\nkey = "value"\n'
+    path = retold(logs["navigation"], tmp_path / "log.mcap", description=text)
+    status, told = replay(path, "--verify")
+    assert status == 0 and "120 steps: every observation" in told
+    assert "-     its length and policies, since its description is not understood" in told
+
+
 def test_a_part_is_verified_from_its_first_state(logs: dict[str, Path], replay) -> None:
     status, told = replay(logs["hopper-3x1"], "--verify", "--steps", "37:61")
     assert status == 0 and "24 steps: every observation" in told
