@@ -10,7 +10,6 @@ from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
-from otc_dist.exploration import Schedule
 from otc_dist.run_folder import RunFolder
 
 from . import forecast, run_record
@@ -63,6 +62,7 @@ def offline(folder: ComparisonFolder, base: Description, seeds: Sequence[int]) -
     """The data set, then pi_0 of every seed and agent."""
     dataset = base.dataset
     agents = registry.team_spec(base.env.id).names
+    seconds = forecast.offline(base) + forecast.embedding(base)
     files = [store.agent_file(dataset.name, agent, dataset.transitions) for agent in agents]
     make = (*MODULE, "otc_dist.datasets", "make", dataset.name)
     data = Job(
@@ -72,11 +72,6 @@ def offline(folder: ComparisonFolder, base: Description, seeds: Sequence[int]) -
         folder.root / "output" / "data.log",
         seconds=120,
     )
-    engine = base.engine.name
-    seconds = (
-        base.offline.updates * forecast.UPDATE[engine]
-        + base.embedding.updates * forecast.EMBEDDING_UPDATE[engine]
-    ) / 1000
     training = [
         Job(
             f"seed {seed}, {agent} offline",
@@ -124,7 +119,7 @@ def comparison(
                     folder.run(seed, arm),
                     folder.output(seed, arm),
                     (*checkpoints, evaluation.product),
-                    _tuning_seconds(description, len(checkpoints)),
+                    _tuning_seconds(description),
                 )
             )
     return jobs
@@ -164,11 +159,8 @@ def _piece(folder: ComparisonFolder, seed: int, *piece: str) -> tuple[str, ...]:
     return (*MODULE, "otc_dist.launch.compare_job", str(folder.root), str(seed), *piece)
 
 
-def _tuning_seconds(description: Description, agents: int) -> float:
-    engine = description.engine.name
-    update = forecast.UPDATE[engine]
-    if description.sampling.name == "otc":
-        update += forecast.OTC_UPDATE[engine]
-    steps = Schedule.of(description, agents).steps + forecast.EPISODE_STEPS
-    each = description.deployment.updates * update + steps * forecast.ACT
-    return 10 + description.deployment.count * agents * each / 1000
+def _tuning_seconds(description: Description) -> float:
+    team = registry.team_spec(description.env.id)
+    once = forecast.tuning(description) + forecast.acting(description, team)
+    each = once + forecast.judging(description, team)
+    return 10 + description.deployment.count * len(team.agents) * each

@@ -8,15 +8,25 @@ import os
 from dataclasses import dataclass
 
 from otc_dist.description import Description
+from otc_dist.description.algorithms import BremenSection
 from otc_dist.exploration import Schedule
+from otc_dist.spec import TeamSpec
 
-# Milliseconds of one core. Updates: BCQ at Table 3's sizes, one agent.
-UPDATE = {"compiled": 2.0, "cuda-graph": 0.4, "eager": 8.0}
-OTC_UPDATE = {"compiled": 1.2, "cuda-graph": 0.1, "eager": 8.0}  # on top, while tuning
-EMBEDDING_UPDATE = {"compiled": 0.8, "cuda-graph": 0.2, "eager": 2.2}
-ACT = 2.0  # one agent's answer for all copies: its candidates, and the message both ways
+# Milliseconds of one core, compiled, at Table 3's sizes: benchmarks/algorithms.py and update.py.
+UPDATE = {
+    "bcq": 1.0,
+    "awac": 0.6,
+    "cql": 18.0,
+    "discrete-cql": 1.1,
+    "td3bc": 1.6,
+    "bremen": 3.8,
+}
+SELECTION = {"otc": 0.5, "balanced": 0.4}  # on top of an update, while tuning
+EMBEDDING_UPDATE = 0.6
+IMPROVEMENT = 250.0  # BREMEN's, of its policy
+ENGINES = {"compiled": 1.0, "eager": 4.0, "cuda-graph": 0.3}  # times as long
+ACT = 2.0  # one agent's answer for all copies, and the message both ways
 START_SECONDS = 6.0  # of all processes, up to their first sign of life
-EPISODE_STEPS = 1000  # upper bound on an evaluation's lock-steps
 
 
 @dataclass(frozen=True)
@@ -28,30 +38,59 @@ class Part:
     seconds: float
 
 
-def parts(description: Description, agents: int) -> list[Part]:
+def offline(description: Description) -> float:
+    """Seconds of one core for one agent's pi_0, without the embedding."""
+    return _trained(description, description.offline.updates, selection=0.0)
+
+
+def embedding(description: Description) -> float:
+    """Seconds of one core for one agent's embedding; 0 where nothing uses it."""
+    sampling = description.sampling
+    if sampling.name != "otc" or sampling.distance != "embedding":
+        return 0.0
+    each = EMBEDDING_UPDATE * ENGINES[description.engine.name]
+    return description.embedding.updates * each / 1000
+
+
+def tuning(description: Description) -> float:
+    """Seconds of one core for one agent's tuning after one deployment."""
+    selection = SELECTION.get(description.sampling.name, 0.0)
+    return _trained(description, description.deployment.updates, selection)
+
+
+def acting(description: Description, team: TeamSpec) -> float:
+    """Seconds of one core for one agent's answers in one deployment."""
+    return Schedule.of(description, len(team.agents)).steps * ACT / 1000
+
+
+def judging(description: Description, team: TeamSpec) -> float:
+    """At most these seconds of one core for one agent's answers in one evaluation."""
+    return team.max_episode_steps * ACT / 1000 if description.evaluation.episodes else 0.0
+
+
+def _trained(description: Description, updates: int, selection: float) -> float:
+    algorithm = description.algorithm
+    each = (UPDATE[algorithm.name] + selection) * ENGINES[description.engine.name]
+    improvements = algorithm.improvements if isinstance(algorithm, BremenSection) else 0
+    return (updates * each + improvements * IMPROVEMENT) / 1000
+
+
+def parts(description: Description, team: TeamSpec) -> list[Part]:
     """All parts of a run, in order. Agents share the cores while they train and act."""
+    agents = len(team.agents)
     cores = min(os.cpu_count() or 1, agents)
     sharing = agents / (cores if description.engine.name != "cuda-graph" else 1)
-    engine = description.engine.name
-    update = UPDATE.get(engine, UPDATE["eager"])
-    tuning = update + (
-        OTC_UPDATE.get(engine, OTC_UPDATE["eager"]) if description.sampling.name == "otc" else 0.0
-    )
-    embedding = EMBEDDING_UPDATE.get(engine, EMBEDDING_UPDATE["eager"])
-    scale = sharing / 1000
-    step = ACT * scale
-    steps = Schedule.of(description, agents).steps
-    evaluation = EPISODE_STEPS * step if description.evaluation.episodes else 0.0
+    evaluation = sharing * judging(description, team)
     run = [
         Part("start", 0, START_SECONDS),
-        Part("offline", 0, description.offline.updates * update * scale),
-        Part("embedding", 0, description.embedding.updates * embedding * scale),
+        Part("offline", 0, sharing * offline(description)),
+        Part("embedding", 0, sharing * embedding(description)),
         Part("evaluation", 0, evaluation),
     ]
     for k in range(1, description.deployment.count + 1):
         run += [
-            Part("deployment", k, steps * step),
-            Part("tuning", k, description.deployment.updates * tuning * scale),
+            Part("deployment", k, sharing * acting(description, team)),
+            Part("tuning", k, sharing * tuning(description)),
             Part("evaluation", k, evaluation),
         ]
     return run

@@ -45,7 +45,7 @@ class Plan:
 
     @property
     def parts(self) -> list[forecast.Part]:
-        return forecast.parts(self.description, len(self.spec.agents))
+        return forecast.parts(self.description, self.spec)
 
     @property
     def learners(self) -> tuple[str, ...]:
@@ -111,8 +111,9 @@ class Plan:
             path = store.agent_file(d.dataset.name, agent, d.dataset.transitions)
             state = "cached" if path.exists() else "to be made"
             yield f"  {agent:10} {path} ({state})"
-        yield f"work         {d.embedding.updates:,} updates of the embedding, for d_e"
-        yield f"             {d.offline.updates:,} offline updates to pi_0"
+        yield f"work         {d.offline.updates:,} offline updates to pi_0"
+        if forecast.embedding(d):
+            yield f"             {d.embedding.updates:,} updates of the embedding, for d_e"
         rounds = Schedule.of(d, len(self.spec.agents)).rounds
         cost = f" an agent, who explore in turn: x {rounds}" if rounds > 1 else ""
         yield (

@@ -3,6 +3,7 @@
 import pytest
 
 from otc_dist.bus.messages import Status
+from otc_dist.envs import registry
 from otc_dist.launch import descriptions, forecast
 from otc_dist.launch.board import Board
 from otc_dist.launch.forecast import Part, Remaining
@@ -66,7 +67,8 @@ def test_the_time_to_go_follows_what_the_machine_does() -> None:
 
 def test_a_plan_s_parts_cover_the_run_in_order() -> None:
     description = resolve(descriptions.load("3agent_hopper", ["engine.name=eager"], None, True))
-    names = [(part.phase, part.deployment) for part in forecast.parts(description, 3)]
+    team = registry.team_spec(description.env.id)
+    names = [(part.phase, part.deployment) for part in forecast.parts(description, team)]
     assert names == [
         ("start", 0), ("offline", 0), ("embedding", 0), ("evaluation", 0),
         ("deployment", 1), ("tuning", 1), ("evaluation", 1),
