@@ -18,22 +18,28 @@ run_main(lambda argv: print(engine.resolve(argv[0], int(argv[1]))) or 0)
 """
 
 
-def resolve(description: Description) -> Description:
+def resolve(description: Description, data_here: bool = True) -> Description:
     """A copy with dataset.transitions, M and L (deployment.*) and engine.name fixed.
 
     M is rounded up to a multiple of env.copies, since every copy contributes equally.
+
+    Args:
+        data_here: whether somebody learns on this machine; if not, an imported data set need not
+            be here.
 
     Raises:
         UserError: an unknown environment or data set, a data set of another environment, or an
             engine that this machine cannot run.
     """
     registry.team_spec(description.env.id)
-    dataset = DatasetName.parse(description.dataset.name)
-    if dataset.env_id != description.env.id:
+    name, transitions = description.dataset.name, description.dataset.transitions
+    if name.rpartition("/")[0] != description.env.id:
         raise UserError(
-            f"the data set {dataset} is not of the environment {description.env.id}: change one"
+            f"the data set {name} is not of the environment {description.env.id}: change one"
         )
-    transitions = description.dataset.transitions or dataset.usual_size()
+    if data_here or not transitions:
+        usual = _usual_size(name, data_here)
+        transitions = transitions or usual
     copies = description.env.copies
     wanted = description.deployment.transitions or description.deployment.fraction * transitions
     deployed = math.ceil(max(wanted, 1) / copies) * copies
@@ -43,6 +49,17 @@ def resolve(description: Description) -> Description:
         f"deployment.updates={tuning_updates(description)}",
     )
     return fixed.with_assignments(f"engine.name={_engine(fixed)}")
+
+
+def _usual_size(name: str, data_here: bool) -> int:
+    try:
+        return DatasetName.parse(name).usual_size()
+    except UserError:
+        if data_here:
+            raise
+        raise UserError(
+            f"{name} is not on this machine: say its size, --set dataset.transitions=N"
+        ) from None
 
 
 def tuning_updates(description: Description) -> int:

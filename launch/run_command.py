@@ -61,7 +61,7 @@ def _start(arguments: argparse.Namespace) -> int:
     if arguments.ssh:
         raise UserError("--ssh needs --hosts FILE: on which hosts?")
     place = Place.of(arguments, chosen, team)
-    description = resolve(chosen)
+    description = resolve(chosen, data_here=place.role != "host")
     quickly, whose = "-quick" if quick else "", f"-{place.agent}" if place.agent else ""
     name = f"{description.name}{quickly}-seed{description.seed}{whose}"
     out: Path = arguments.out or Path("runs") / name

@@ -96,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="+",
         metavar="FILE",
         help="deployment logs (RUN/deployments/*.mcap); or one D4RL HDF5 file or Minari data set "
-        "(its folder or its main_data.hdf5)",
+        "(its folder or its main_data.hdf5); or one agent's own AGENT.safetensors from elsewhere",
     )
     importing.add_argument(
         "--name",

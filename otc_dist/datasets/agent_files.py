@@ -98,6 +98,11 @@ def load_agent(path: Path, agent: str) -> Transitions:
     return data
 
 
+def read_file(path: Path) -> tuple[Header, Tensors]:
+    """An agent's file, whoever's it is, checked; errors as in `load_agent`."""
+    return _load(path, _read(path)[0].agent)
+
+
 def load_tensors(path: Path, agent: str) -> Tensors:
     """All tensors of an agent's file, checked; errors as in `load_agent`."""
     return _load(path, agent)[1]

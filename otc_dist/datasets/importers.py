@@ -11,6 +11,7 @@ from otc_dist.datasets.card import DatasetCard, episode_returns, file_sha256
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.log_import import is_log, read_logs
 from otc_dist.datasets.names import DatasetName, plain
+from otc_dist.datasets.own_file import import_agent_file, is_agent_file
 from otc_dist.datasets.recording import Recording, split
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
@@ -25,11 +26,15 @@ if TYPE_CHECKING:
 def import_files(sources: Sequence[Path], level: str = "", env_id: str = "") -> DatasetCard:
     """Import deployment logs, joined, or one file of another kind; see those functions.
 
+    An agent's own file, copied from another machine, keeps the name of its set.
+
     Raises:
         UserError: as they do; several files that are not all logs, no level where one is needed.
     """
     if all(map(is_log, sources)):
         return import_logs(sources, level, env_id)
+    if len(sources) == 1 and is_agent_file(sources[0]):
+        return import_agent_file(sources[0])
     first = next(source for source in sources if not is_log(source))
     if len(sources) > 1:
         raise UserError(f"{first} is no deployment log, and only those are joined: import it alone")

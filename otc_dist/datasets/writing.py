@@ -156,6 +156,20 @@ def _write(
     return card
 
 
+def add_file(path: Path, content: bytes) -> None:
+    """Write or replace one file of a set, in one step; the caller holds `locked`.
+
+    Raises:
+        UserError: the disk is full or cannot be written.
+    """
+    with _disk_errors(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial")
+        _write_file(partial, content)
+        partial.replace(path)
+        _sync_folder(path.parent)
+
+
 def _write_file(path: Path, content: bytes) -> None:
     with path.open("wb") as file:
         file.write(content)

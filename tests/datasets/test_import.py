@@ -11,7 +11,7 @@ import pytest
 from minari.data_collector import EpisodeBuffer
 
 from otc_dist.datasets import store
-from otc_dist.datasets.importers import import_file
+from otc_dist.datasets.importers import import_file, import_files
 from otc_dist.errors import UserError
 
 from .recordings import Played, play, write_d4rl
@@ -294,3 +294,28 @@ def test_a_minari_set_can_be_named_by_any_of_its_folders_or_its_file(minari_set:
 def test_a_minari_set_of_another_robot_is_refused(minari_set: Path) -> None:
     message = refusal(minari_set, env_id="walker2d-2x3")
     assert "episode_0: actions has shape" in message
+
+
+def test_one_agents_file_is_all_that_its_learners_host_needs(
+    file: Path, played: Played, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = import_file(write_d4rl(file, played), "mine")
+    here = store.agent_file(made.name, "agent_1")
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "another"))
+    card = import_files([here])
+    assert card == import_files([here])
+    assert (card.name, card.transitions) == (made.name, made.transitions)
+    assert card.files == {"agent_1": made.files["agent_1"]}
+    assert store.ensure(made.name, agents=["agent_1"]) == card
+    there = store.agent_file(made.name, "agent_1")
+    assert there != here and there.read_bytes() == here.read_bytes()
+    with pytest.raises(UserError, match=r"no file of agent_0: import agent_0\.safetensors"):
+        store.ensure(made.name)
+    import_files([here.with_name("agent_0.safetensors")])  # two may learn on one machine
+    store.ensure(made.name, agents=["agent_0", "agent_1"])
+
+
+def test_a_file_that_is_made_alike_everywhere_is_not_imported() -> None:
+    store.ensure("hopper-3x1/random", 300)
+    with pytest.raises(UserError, match="make hopper-3x1/random --transitions 300 --agent agent_2"):
+        import_files([store.agent_file("hopper-3x1/random", "agent_2", 300)])

@@ -112,6 +112,13 @@ def test_a_learners_host_makes_and_names_its_own_data_alone(
     assert "agent_0" not in plan and "agent_2" not in plan
 
 
+def test_a_host_need_not_have_an_imported_data_set(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "mine" in _plan(capsys, *HOST, "--set", "dataset.name=hopper-3x1/mine")
+    unsized = ("--set", "dataset.name=hopper-3x1/mine", "--set", "dataset.transitions=0")
+    with pytest.raises(UserError, match="is not on this machine: say its size"):
+        main([*RUN, *HOST, *unsized])
+
+
 def test_all_processes_go_to_the_router_of_the_description(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
