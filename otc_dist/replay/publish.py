@@ -6,6 +6,7 @@ Whoever listens sees the deployments as they were, at their own pace or `--rate`
 
 import argparse
 import json
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -180,9 +181,13 @@ def _prepare_learners(
 def _centre(root: Path, maximum_payload: int) -> Iterator[Session]:
     """The bus of the run folder `root`, with this process as its centre."""
     endpoint = local_endpoint(root)
-    with Session.listen([Door(endpoint)], maximum_payload) as session:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # it, too, ends in order
+    session = Session.listen([Door(endpoint)], maximum_payload)
+    try:
         yield session
-    remove_local_endpoint(endpoint)
+    finally:
+        session.close()
+        remove_local_endpoint(endpoint)
 
 
 def _wait_for_somebody(session: Session, root: Path, deadline: float) -> None:
