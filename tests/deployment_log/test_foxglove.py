@@ -252,6 +252,32 @@ def test_messages_are_what_foxglove_says_they_are(tmp_path: Path, hops, small) -
     assert counts["/scene"] >= 2 * 5
 
 
+def test_foxglove_can_read_the_schemas(tmp_path: Path) -> None:
+    """It wants an object's properties, an array's items and everyone's type to be named."""
+
+    def check(schema: dict) -> None:
+        if "oneOf" in schema:
+            assert all(isinstance(one["const"], int) and one["title"] for one in schema["oneOf"])
+        elif schema["type"] == "object":
+            for part in schema["properties"].values():
+                check(part)
+        elif schema["type"] == "array":
+            assert schema["items"]["type"] in ("object", "number", "integer", "string")
+            check(schema["items"])
+        else:
+            assert schema["type"] in ("number", "integer", "string", "boolean")
+
+    path = tmp_path / "log.mcap"
+    play("5m_vs_6m", path, 2)
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    channels = [c for c in summary.channels.values() if c.message_encoding == "json"]
+    assert {c.topic for c in channels} == {"/step", "/transforms", "/scene"}
+    for channel in channels:
+        check(json.loads(summary.schemas[channel.schema_id].data))
+
+
 def test_a_deployment_of_which_steps_are_missing(tmp_path: Path, small) -> None:
     """What an episode returned up to there is not known after a gap: it is counted anew."""
     from otc_dist.deployment_log.finishing import write_finished

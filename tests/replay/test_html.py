@@ -173,6 +173,10 @@ window.addEventListener("error", (event) => { seen.error = event.message; });
   const event = { clientX: box.left + 64 + (box.width - 76) / 2, pointerId: 1, buttons: 1 };
   plot.setPointerCapture = () => {};
   plot.dispatchEvent(new PointerEvent("pointerdown", event)); await frame(); note("middle");
+  const zoom = { clientX: event.clientX, deltaY: -400, cancelable: true };
+  plot.dispatchEvent(new WheelEvent("wheel", zoom)); await frame(); seen.zoomed = [...shown];
+  press("End"); await frame(); seen.followed = [...shown];
+  plot.dispatchEvent(new MouseEvent("dblclick")); await frame(); seen.all = [...shown];
   press("Home"); press(" "); await wait(400); press(" "); await frame(); note("played");
   const out = document.createElement("pre");
   out.id = "seen";
@@ -207,6 +211,11 @@ def test_a_browser_plays_the_page(page: Path, deployment, tmp_path: Path, chromi
     first = next(t for t, s in enumerate(steps) if s.terminated[0] or s.truncated[0])
     assert int(seen["second episode"][0]) == first + 1
     assert int(seen["second episode"][1]) > int(seen["home"][1])
+    # Zoomed by e around the cursor; whoever goes elsewhere takes the plots along.
+    (first, last), (begin, end) = seen["zoomed"], seen["followed"]
+    assert last - first == pytest.approx(119 / np.e) and (first + last) / 2 == pytest.approx(59.5)
+    assert end == pytest.approx(119) and end - begin == pytest.approx(last - first)
+    assert seen["all"] == [0, 119]
     # 0.4 s of it, at 8 ms a step.
     assert 10 <= int(seen["played"][0]) <= 100
 

@@ -115,9 +115,10 @@ function colour(rgb, opacity = 1) {
   return `rgba(${rgb[0]}, ${rgb[1]}, ${rgb[2]}, ${opacity})`;
 }
 
-function fit(canvas) {
+// A canvas as large as its place, cleared, to be drawn on in CSS pixels.
+function fit(canvas, place = canvas) {
   const ratio = window.devicePixelRatio || 1;
-  const { width, height } = canvas.getBoundingClientRect();
+  const { width, height } = place.getBoundingClientRect();
   const size = [Math.round(width * ratio), Math.round(height * ratio)];
   if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
   const context = canvas.getContext("2d");
@@ -240,53 +241,26 @@ for (const [n, agent] of tape.agents.entries()) {
 
 const [LEFT, RIGHT, TOP, BOTTOM] = [64, 12, 22, 8];
 
-function drawChart({ title, lines, fixed, canvas }) {
+// What does not change with the cursor is drawn once, and then copied.
+function drawChart(chart) {
+  const { title, lines, canvas } = chart;
   const { context, width, height } = fit(canvas);
   const style = styles();
-  const [first, last] = shown;
-  const x = (i) => LEFT + ((i - first) / (last - first)) * (width - LEFT - RIGHT);
-  const [begin, end] = [Math.max(Math.floor(first), 0), Math.min(Math.ceil(last), count - 1)];
-
-  let [low, high] = fixed || [Infinity, -Infinity];
-  if (!fixed) {
-    for (const [, , , value] of lines) {
-      for (let i = begin; i <= end; i++) {
-        const found = value(i);
-        if (Number.isFinite(found)) [low, high] = [Math.min(low, found), Math.max(high, found)];
-      }
-    }
-    if (low > high) [low, high] = [0, 1];
-    if (low === high) [low, high] = [low - 0.5, high + 0.5];
+  const kept = [...shown, canvas.width, canvas.height, style.getPropertyValue("--line")].join();
+  if (chart.kept !== kept) {
+    chart.layer ??= document.createElement("canvas");
+    drawLines(chart, style);
+    chart.kept = kept;
   }
-  const y = (v) =>
-    height - BOTTOM - ((clamp(v, low, high) - low) / (high - low)) * (height - TOP - BOTTOM);
+  context.drawImage(chart.layer, 0, 0, width, height);
 
   context.font = "12px system-ui, sans-serif";
-  context.fillStyle = style.getPropertyValue("--muted");
-  context.textAlign = "right";
-  context.fillText(format(high), LEFT - 8, y(high) + 8);
-  context.fillText(format(low), LEFT - 8, y(low));
-  context.strokeStyle = style.getPropertyValue("--line");
-  context.lineWidth = 1;
-  context.beginPath();
-  for (const v of [low, high]) {
-    context.moveTo(LEFT, y(v));
-    context.lineTo(width - RIGHT, y(v));
-  }
-  for (const start of starts) {
-    if (start <= first || start > last) continue;
-    context.moveTo(x(start - 0.5), TOP);
-    context.lineTo(x(start - 0.5), height - BOTTOM);
-  }
-  context.stroke();
-
-  const i = at();
-  context.textAlign = "left";
   context.fillStyle = style.getPropertyValue("--text");
   context.fillText(title, LEFT, 15);
   let from = LEFT + context.measureText(title).width + 18;
+  const i = at();
   for (const [name, rgb, dash, value] of lines) {
-    context.strokeStyle = context.fillStyle = colour(rgb);
+    context.strokeStyle = colour(rgb);
     context.setLineDash(dash);
     context.lineWidth = 1.5;
     context.beginPath();
@@ -297,49 +271,93 @@ function drawChart({ title, lines, fixed, canvas }) {
     context.fillStyle = style.getPropertyValue("--muted");
     context.fillText(text, from + 25, 15);
     from += 43 + context.measureText(text).width;
-    drawLine(context, value, begin, end, x, y, width);
-    context.setLineDash([]);
   }
-
+  context.setLineDash([]);
   context.strokeStyle = style.getPropertyValue("--accent");
-  context.lineWidth = 1.5;
   context.beginPath();
-  context.moveTo(x(position), TOP - 4);
-  context.lineTo(x(position), height - BOTTOM + 4);
+  const x = LEFT + ((position - shown[0]) / (shown[1] - shown[0])) * (width - LEFT - RIGHT);
+  context.moveTo(x, TOP - 4);
+  context.lineTo(x, height - BOTTOM + 4);
   context.stroke();
+}
+
+function range(lines, begin, end) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const [, , , value] of lines) {
+    for (let i = begin; i <= end; i++) {
+      const found = value(i);
+      if (Number.isFinite(found)) [low, high] = [Math.min(low, found), Math.max(high, found)];
+    }
+  }
+  if (low > high) return [0, 1];
+  return low === high ? [low - 0.5, high + 0.5] : [low, high];
+}
+
+function drawLines({ lines, fixed, canvas, layer }, style) {
+  const { context, width, height } = fit(layer, canvas);
+  const [first, last] = shown;
+  const [begin, end] = [Math.max(Math.floor(first), 0), Math.min(Math.ceil(last), count - 1)];
+  const [low, high] = fixed || range(lines, begin, end);
+  const x = (i) => LEFT + ((i - first) / (last - first)) * (width - LEFT - RIGHT);
+  const y = (v) =>
+    height - BOTTOM - ((clamp(v, low, high) - low) / (high - low)) * (height - TOP - BOTTOM);
+
+  context.font = "12px system-ui, sans-serif";
+  context.fillStyle = style.getPropertyValue("--muted");
+  context.textAlign = "right";
+  context.fillText(format(high), LEFT - 8, y(high) + 8);
+  context.fillText(format(low), LEFT - 8, y(low));
+  context.strokeStyle = style.getPropertyValue("--line");
+  context.beginPath();
+  for (const v of [low, high]) {
+    context.moveTo(LEFT, y(v));
+    context.lineTo(width - RIGHT, y(v));
+  }
+  const borders = starts.filter((start) => start > first && start <= last);
+  for (const start of borders.length < width / 8 ? borders : []) {
+    context.moveTo(x(start - 0.5), TOP);
+    context.lineTo(x(start - 0.5), height - BOTTOM);
+  }
+  context.stroke();
+  context.lineWidth = 1.5;
+  for (const [, rgb, dash, value] of lines) {
+    context.strokeStyle = colour(rgb);
+    context.setLineDash(dash);
+    drawLine(context, value, begin, end, x, y, width);
+  }
 }
 
 // Where many steps share a pixel, their range is drawn: no peak is lost.
 function drawLine(context, value, begin, end, x, y, width) {
   const dense = (end - begin) / width > 2;
   context.beginPath();
-  let pen = false;
+  let before = NaN; // the value of the step before, if the line goes on from there
   let column = null;
   const flush = () => {
     if (!column) return;
-    context.moveTo(column.x, y(column.low));
-    context.lineTo(column.x, y(column.high) + 0.5);
+    context.moveTo(column.x, y(column.low) + 0.5);
+    context.lineTo(column.x, y(column.high) - 0.5);
     column = null;
   };
   for (let i = begin; i <= end; i++) {
     const v = value(i);
-    if (!Number.isFinite(v)) {
-      pen = false;
-      continue;
+    if (begins.has(i)) before = NaN;
+    if (Number.isFinite(v)) {
+      const from = Number.isFinite(before) ? before : v;
+      if (!dense) {
+        if (from === before) context.lineTo(x(i), y(v));
+        else context.moveTo(x(i), y(v));
+      } else {
+        const place = Math.round(x(i));
+        if (!column || column.x !== place) {
+          flush();
+          column = { x: place, low: from, high: from };
+        }
+        column.low = Math.min(column.low, v);
+        column.high = Math.max(column.high, v);
+      }
     }
-    if (!dense) {
-      if (pen && !begins.has(i)) context.lineTo(x(i), y(v));
-      else context.moveTo(x(i), y(v));
-      pen = true;
-      continue;
-    }
-    const at = Math.round(x(i));
-    if (!column || column.x !== at) {
-      flush();
-      column = { x: at, low: v, high: v };
-    }
-    column.low = Math.min(column.low, v);
-    column.high = Math.max(column.high, v);
+    before = v;
   }
   flush();
   context.stroke();
