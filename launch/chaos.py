@@ -28,10 +28,10 @@ SHORT_RUN = (
     *("--set", "embedding.updates=50", "--set", "offline.updates=600"),
     *("--set", "sampling.candidates=64", "--set", "sampling.references=64"),
     *("--set", "sampling.similarity_sample=500", "--set", "deployment.count=3"),
-    *("--set", "deployment.transitions=1200", "--set", "deployment.updates=300"),
+    *("--set", "deployment.transitions=2000", "--set", "deployment.updates=300"),
     *("--set", "evaluation.episodes=4", "--set", "bus.answer_deadline=60.0"),
 )
-AIM = 5.0  # seconds that a fault waits for the phase in which it is to strike
+AIM = 20.0  # seconds that a fault waits for the phase in which it is to strike
 SCATTER = 0.7  # seconds within which it then strikes, at random
 WHOLE = {name: 100 if name.startswith("kill-") else 20 for name in FAULTS if name != "any"}
 
@@ -126,7 +126,7 @@ def _one_run(
         if tally.struck >= count:
             run.finish()
             return
-        if not run.wait_for_phase(numbers.choice(PHASES), AIM):
+        if not run.wait_for_phase(numbers.choice(run.phases_ahead), AIM):
             return
         if not run.wait(numbers.uniform(0.0, SCATTER)):
             return

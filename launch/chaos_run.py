@@ -155,6 +155,11 @@ class DisturbedRun:
             self._check(deadline, "its processes outlive the launcher")
             time.sleep(LOOK)
 
+    @property
+    def phases_ahead(self) -> tuple[str, ...]:
+        """The phases that may still come."""
+        return PHASES[1:] if self.folder.evaluation(0).exists() else PHASES
+
     def freeze_launcher(self, seconds: float) -> None:
         """SIGSTOP, and SIGCONT after a while."""
         assert self._launcher is not None

@@ -51,13 +51,13 @@ class Life:
     moved: float = 0.0  # clock at which `now` last changed
     busy: bool = True
     idle_since: float = 0.0  # clock at which its processor time last changed, while silent
-    processor: float = -1.0
+    processor: int = -1
     told_silent: bool = False
 
     def enter(self, state: State, clock: float) -> None:
         self.told_silent = self.told_silent and state == self.state
         self.state, self.since = state, clock
-        self.idle_since, self.processor = clock, -1.0
+        self.idle_since, self.processor = clock, -1
 
 
 class Health:
@@ -143,11 +143,12 @@ class Health:
         """It has ended well."""
         self.lives[name].enter("ended", clock)
 
-    def lost(self, clock: float, processor_time: Callable[[int], float | None]) -> dict[str, str]:
+    def lost(self, clock: float, processor_time: Callable[[int], int | None]) -> dict[str, str]:
         """The processes to be killed: name -> why.
 
         Args:
-            processor_time: seconds that a process has used; None if this system does not tell.
+            processor_time: what a process has used; None if that is not known: then its silence
+                alone counts.
         """
         found = {}
         for name, life in self.lives.items():
@@ -157,9 +158,8 @@ class Health:
                 self.events.append(f"{name}: is silent")
             if life.state == "silent" and self._judged(name):
                 used = processor_time(life.pid)
-                if used is None or used != life.processor:
-                    life.idle_since = clock
-                    life.processor = -1.0 if used is None else used
+                if used is not None and used != life.processor:
+                    life.idle_since, life.processor = clock, used
                 elif clock - life.idle_since >= FROZEN_AFTER:
                     found[name] = "is frozen"
             heard = self._linked and life.state in ("starting", "up") and life.busy

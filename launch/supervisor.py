@@ -139,15 +139,13 @@ class Supervisor:
         return ends + self.ended()
 
 
-def processor_time(pid: int) -> float | None:
-    """Seconds of processor time that a process has used; None where the system does not tell."""
+def processor_time(pid: int) -> int | None:
+    """Nanoseconds of processor time of all threads of a process; None where nothing tells."""
     try:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
-    except OSError:
+        threads = list(Path(f"/proc/{pid}/task").iterdir())
+        return sum(int((thread / "schedstat").read_text().split()[0]) for thread in threads)
+    except (OSError, ValueError, IndexError):  # a thread may end meanwhile
         return None
-    # After the command's name, which may hold anything: the 12th and 13th field, in ticks.
-    user, system = fields.rpartition(")")[2].split()[11:13]
-    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def _signal_group(leader: int, number: signal.Signals) -> None:

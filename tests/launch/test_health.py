@@ -10,9 +10,9 @@ DEADLINE = 30.0
 KILLED = {name: End(name, -9, None) for name in ("host", "agent_0")}
 
 
-def at_rest(pid: int) -> float:
+def at_rest(pid: int) -> int:
     """Processor time that does not grow."""
-    return 1.0
+    return 1
 
 
 @pytest.fixture
@@ -49,7 +49,13 @@ def test_a_silent_process_that_does_nothing_is_frozen(health: Health) -> None:
 def test_a_silent_process_that_works_is_not_lost(health: Health) -> None:
     health.take_token("agent_0", False, 1.0)
     for second in range(1, 20):
-        assert health.lost(float(second), lambda _, used=second: float(used)) == {}  # type: ignore[misc]
+        assert health.lost(float(second), lambda _, used=second: used) == {}  # type: ignore[misc]
+
+
+def test_where_no_processor_time_is_known_silence_counts_alone(health: Health) -> None:
+    health.take_token("agent_0", False, 1.0)
+    health.lost(1.0, lambda _: None)
+    assert health.lost(1.0 + FROZEN_AFTER, lambda _: None) == {"agent_0": "is frozen"}
 
 
 def test_a_process_that_is_back_is_well(health: Health) -> None:
