@@ -1,6 +1,7 @@
 """The command `python -m otc_dist.replay FILE...`: look at deployment logs, and use them."""
 
 import argparse
+import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -134,4 +135,6 @@ def _rate(text: str) -> float:
 
 
 if __name__ == "__main__":
+    # Ended by a signal, too, it leaves nothing half-written behind.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     run_main(main)

@@ -6,7 +6,6 @@ Whoever listens sees the deployments as they were, at their own pace or `--rate`
 
 import argparse
 import json
-import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -181,7 +180,6 @@ def _prepare_learners(
 def _centre(root: Path, maximum_payload: int) -> Iterator[Session]:
     """The bus of the run folder `root`, with this process as its centre."""
     endpoint = local_endpoint(root)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # it, too, ends in order
     session = Session.listen([Door(endpoint)], maximum_payload)
     try:
         yield session

@@ -15,11 +15,17 @@ from otc_dist.bus.endpoints import Door, local_endpoint
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Moment, decode_status
 from otc_dist.bus.session import Session
-from otc_dist.deployment_log.reader import read_header, read_steps, read_summary
+from otc_dist.deployment_log.reader import (
+    read_header,
+    read_steps,
+    read_summary,
+    read_transitions,
+)
+from otc_dist.errors import UserError
 from otc_dist.replay import publish
 from otc_dist.replay.selection import Selection
 
-from .deployments import played, retold
+from .deployments import logged, played, retold
 
 
 @pytest.fixture(scope="module")
@@ -129,8 +135,21 @@ def test_learners_are_not_given_a_deployment_with_gaps(
     log: Path, tmp_path: Path, refused: Refused
 ) -> None:
     header = replace(read_header(log), versions={"otc_dist": "0"})
-    from .deployments import logged
-
     short = logged(tmp_path / "a.mcap", header, list(read_steps(log))[:30])
     message = refused(short, "--publish", "--learners", "--run", tmp_path / "run")
     assert "does not hold its whole deployment" in message
+
+
+def test_learners_are_told_of_deployments_whose_logs_lie_beside(log: Path, tmp_path: Path) -> None:
+    """One that begins with a later deployment asks for its history first."""
+    header = read_header(log)
+    first, second = (retold(log, tmp_path / f"deployment_0{k}.mcap", deployment=k) for k in (1, 2))
+    read = publish._Logs({2: second}, header).of_agent("agent_0")
+    own = read_transitions(first, "agent_0", 3, 9)
+    assert read(1, 3, 9).next_observations.tobytes() == own.next_observations.tobytes()
+    with pytest.raises(UserError, match="steps 50 to 69 are not all in the log"):
+        read(1, 50, 70)
+    first.unlink()
+    retold(log, first, deployment=1, run="another-run")
+    with pytest.raises(UserError, match="the log of deployment 1 is not at hand"):
+        read(1, 3, 9)
