@@ -37,6 +37,7 @@ from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.reader import OpenLog
 from otc_dist.envs.registry import team_spec
 from otc_dist.errors import UserError, run_main
+from otc_dist.launch.supervisor import die_with_parent
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import AgentSpec
 
@@ -73,7 +74,10 @@ def run(agents: int, steps: int, folder: RunFolder) -> Measured:
     samples: list[Sample] = []
     with tempfile.TemporaryFile() as output:
         launcher = subprocess.Popen(
-            [*command, "--out", str(folder.root)], stdout=output, stderr=output
+            [*command, "--out", str(folder.root)],
+            stdout=output,
+            stderr=output,
+            preexec_fn=die_with_parent(),
         )
         try:
             deadline = time.monotonic() + PATIENCE
