@@ -8,6 +8,7 @@ A learner's certificate is good for a client only, so that nobody can pose as th
 
 import argparse
 import ipaddress
+import json
 import os
 import socket
 from collections.abc import Iterator, Sequence
@@ -19,8 +20,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from otc_dist.bus.access import router_rules
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
-from otc_dist.bus.keys import HOST, OBSERVER
+from otc_dist.bus.keys import HOST, OBSERVER, Keys
 from otc_dist.errors import UserError, run_main
 
 DESCRIPTION = """\
@@ -48,6 +50,10 @@ def main(argv: list[str]) -> int:
     if arguments.agents < 1 or arguments.days < 1:
         raise UserError("--agents and --days must be 1 or more")
     agents = [f"agent_{index}" for index in range(arguments.agents)]
+    if arguments.rules:
+        rules = router_rules(Keys(arguments.rules), agents)
+        print(json.dumps({"access_control": rules}, indent=1))
+        return 0
     for line in make(arguments.folder, agents, arguments.host or own_names(), arguments.days):
         print(line)
     return 0
@@ -256,6 +262,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="name or address by which learners reach the env host, once for each"
         " (default: this machine's)",
+    )
+    parser.add_argument(
+        "--rules",
+        metavar="RUN",
+        help="only print what a Zenoh router of your own may let through of the run of that name:"
+        " a part of its configuration",
     )
     parser.add_argument("--days", type=int, default=365, help="how long they are valid")
     return parser

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from otc_dist.bus.access import host_rules
 from otc_dist.bus.endpoints import remove_local_endpoint
 from otc_dist.bus.handshake import offer
 from otc_dist.bus.keys import HOST
@@ -257,7 +258,8 @@ def _open(run: Run, arguments: argparse.Namespace) -> Session:
     if not arguments.listen:
         return Session.listen([local], maximum)
     door = door_at(arguments.listen, HOST, arguments)
-    return Session.listen([door, local], maximum, run.access if door.identity else None)
+    access = host_rules(run.keys, run.team.names) if door.identity else None
+    return Session.listen([door, local], maximum, access)
 
 
 def main() -> None:

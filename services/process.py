@@ -11,10 +11,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Self
 
-from otc_dist.bus.access import access_control
 from otc_dist.bus.agreement import copies_by_phase, longest_message, run_spec
 from otc_dist.bus.endpoints import Door, door, local_endpoint
-from otc_dist.bus.keys import OBSERVER, Keys
+from otc_dist.bus.keys import Keys
 from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.replies import RunSpec
 from otc_dist.description import Description
@@ -93,14 +92,6 @@ class Run:
     def local_door(self) -> Door:
         """Where the bus is on one machine."""
         return Door(local_endpoint(self.folder.root))
-
-    @property
-    def access(self) -> dict[str, object]:
-        """What learners and observers may do where the env host is the centre of the bus."""
-        agents = self.team.names
-        observer = self.keys.observer_uses(agents)
-        by_name = {agent: self.keys.learner_uses(agent) for agent in agents}
-        return access_control({**by_name, OBSERVER: observer}, local=observer)
 
 
 def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParser:

@@ -5,9 +5,9 @@ on what goes out (egress), by the common name of the certificate on the other si
 nobody's right.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
-from otc_dist.bus.keys import Uses
+from otc_dist.bus.keys import HOST, OBSERVER, Keys, Uses
 
 # What a use needs: (field of Uses, Zenoh's messages that come in, those that go out).
 _NEEDS = (
@@ -18,6 +18,20 @@ _NEEDS = (
     ("shows", ("liveliness_token",), ("liveliness_query", "declare_liveliness_subscriber")),
     ("watches", ("liveliness_query", "declare_liveliness_subscriber"), ("liveliness_token",)),
 )
+
+
+def router_rules(keys: Keys, agents: Sequence[str]) -> dict[str, object]:
+    """Zenoh's `access_control` section for a router at which all processes of a run meet."""
+    learners = {agent: keys.learner_uses(agent) for agent in agents}
+    observer = keys.observer_uses(agents)
+    return access_control({HOST: keys.host_uses(agents), **learners, OBSERVER: observer})
+
+
+def host_rules(keys: Keys, agents: Sequence[str]) -> dict[str, object]:
+    """The same for the env host where it is the centre, with its launcher on the same machine."""
+    learners = {agent: keys.learner_uses(agent) for agent in agents}
+    observer = keys.observer_uses(agents)
+    return access_control({**learners, OBSERVER: observer}, local=observer)
 
 
 def access_control(by_name: Mapping[str, Uses], local: Uses | None = None) -> dict[str, object]:

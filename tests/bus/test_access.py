@@ -1,7 +1,9 @@
 """A learner's certificate opens its own keys, whatever is tried with it; nothing else does."""
 
+import json
 import os
 import queue
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -10,15 +12,17 @@ from typing import Any
 import pytest
 
 from otc_dist import certs
-from otc_dist.bus.access import access_control
+from otc_dist.bus.access import host_rules, router_rules
 from otc_dist.bus.endpoints import door
 from otc_dist.bus.keys import HOST, OBSERVER, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
+from otc_dist.bus.session import Session
 
 from .conftest import free_port
 
 PATIENCE = 10.0  # seconds; only a test that fails waits as long
 KEYS, AGENTS = Keys("a-run"), ("agent_0", "agent_1")
+MARK = b"mark"  # of what is allowed
 REMOTE = zenoh.Locality.REMOTE
 OWN = KEYS.learner_uses("agent_1")
 EVERYTHING = KEYS.host_uses(AGENTS).keys | KEYS.learner_uses("agent_0").keys
@@ -30,6 +34,11 @@ WIDE = (
     "otc/a-run/agent$*/observation",
     "@/**",
 )
+
+
+def direct(callback: Callable[[Any], None]) -> Any:
+    """Called by Zenoh's own thread, so that it has been called once what follows has arrived."""
+    return zenoh.handlers.Callback(callback, indirect=False)
 
 
 class Bus:
@@ -55,9 +64,12 @@ class Bus:
         self.kept: list[Any] = []
         self._there: queue.Queue[bytes] = queue.Queue()
         self._back: queue.Queue[bytes] = queue.Queue()
+        self._of_victim: queue.Queue[bytes] = queue.Queue()
         watch = self._noting("sample")
         self.keep(self.host.declare_subscriber("**", watch, allowed_origin=REMOTE))
         self.keep(self.host.declare_subscriber(KEYS.action("agent_1"), self._marks(self._there)))
+        victims = KEYS.action("agent_0")
+        self.keep(self.host.declare_subscriber(victims, self._marks(self._of_victim)))
         own = KEYS.observation("agent_1")
         self.keep(self.intruder.declare_subscriber(own, self._marks(self._back)))
         self.keep(self.host.declare_queryable("**", self._answer))
@@ -73,14 +85,14 @@ class Bus:
 
     def _noting(self, what: str) -> Any:
         def note(sample: Any) -> None:
-            self.entered.append((what, str(sample.key_expr)))
+            if not sample.payload.to_bytes().startswith(MARK):
+                self.entered.append((what, str(sample.key_expr)))
 
-        return zenoh.handlers.Callback(note, indirect=False)
+        return direct(note)
 
     @staticmethod
     def _marks(arrived: "queue.Queue[bytes]") -> Any:
-        put = arrived.put
-        return zenoh.handlers.Callback(lambda s: put(s.payload.to_bytes()), indirect=False)
+        return direct(lambda sample: arrived.put(sample.payload.to_bytes()))
 
     def _answer(self, query: Any) -> None:
         with query:
@@ -88,10 +100,12 @@ class Bus:
             query.reply(KEYS.spec, b"a secret")
 
     def flush(self) -> None:
-        """Return when all that the intruder has sent has entered, and all sent to it has come.
+        """Return when all that both have sent has entered, and all sent to the intruder has come.
 
         Links keep the order, so it is enough to send what is allowed after it, there and back.
         """
+        victims = KEYS.action("agent_0")
+        _until_it_comes(lambda mark: self.victim.put(victims, mark), self._of_victim)
         _until_it_comes(lambda mark: self.intruder.put(KEYS.action("agent_1"), mark), self._there)
         _until_it_comes(lambda mark: self.host.put(KEYS.observation("agent_1"), mark), self._back)
 
@@ -104,7 +118,7 @@ class Bus:
 
 def _until_it_comes(put: Callable[[bytes], None], arrived: "queue.Queue[bytes]") -> None:
     """Send a mark until it arrives: before the other side's subscription is known, it is lost."""
-    mark = os.urandom(8)
+    mark = MARK + os.urandom(8)
     for _ in range(100):
         put(mark)
         with suppress(queue.Empty):
@@ -127,12 +141,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def _rules() -> dict[str, object]:
-    observer = KEYS.observer_uses(AGENTS)
-    learners = {agent: KEYS.learner_uses(agent) for agent in AGENTS}
-    return access_control({**learners, OBSERVER: observer}, local=observer)
-
-
 def _put(bus: Bus, keys: Sequence[str]) -> set[str]:
     for key in keys:
         bus.intruder.put(key, b"forged")
@@ -149,8 +157,8 @@ def _delete(bus: Bus, keys: Sequence[str]) -> set[str]:
 
 def _subscribe(bus: Bus, keys: Sequence[str]) -> set[str]:
     heard: set[str] = set()
+    note = direct(lambda sample: heard.add(str(sample.key_expr)))
     for key in keys:
-        note = zenoh.handlers.Callback(lambda s: heard.add(str(s.key_expr)), indirect=False)
         bus.keep(bus.intruder.declare_subscriber(key, note, allowed_origin=REMOTE))
     bus.flush()
     for key in EVERYTHING:
@@ -175,7 +183,7 @@ def _answer(bus: Bus, keys: Sequence[str]) -> set[str]:
             asked.add(str(query.key_expr))
 
     for key in keys:
-        bus.keep(bus.intruder.declare_queryable(key, on_query))
+        bus.keep(bus.intruder.declare_queryable(key, direct(on_query)))
     bus.flush()
     for key in EVERYTHING:
         list(bus.host.get(key, timeout=0.5))
@@ -196,9 +204,9 @@ def _show_token(bus: Bus, keys: Sequence[str]) -> set[str]:
 def _watch_tokens(bus: Bus, keys: Sequence[str]) -> set[str]:
     seen: set[str] = set()
     tokens = bus.intruder.liveliness()
+    note = direct(lambda sample: seen.add(str(sample.key_expr)))
     for key in keys:
-        watching = tokens.declare_subscriber(key, lambda s: seen.add(str(s.key_expr)), history=True)
-        bus.keep(watching)
+        bus.keep(tokens.declare_subscriber(key, note, history=True))
     bus.flush()
     return seen - set(OWN.watches)
 
@@ -224,7 +232,7 @@ Attack = Callable[[Bus, Sequence[str]], set[str]]
 
 @pytest.mark.parametrize("attack", ATTACKS.values(), ids=list(ATTACKS))
 def test_agent_1_gets_nothing_of_agent_0_and_of_the_host(folder: Path, attack: Attack) -> None:
-    with _bus(folder, _rules()) as bus:
+    with _bus(folder, host_rules(KEYS, AGENTS)) as bus:
         assert attack(bus, [*sorted(EVERYTHING - OWN.keys), *_shared(), *WIDE]) == set()
 
 
@@ -237,3 +245,62 @@ def test_the_same_attack_succeeds_where_there_are_no_rules(folder: Path, attack:
 def _shared() -> list[str]:
     """Keys of the host that every learner may read, and none write."""
     return [KEYS.spec, KEYS.status(HOST), KEYS.alive(HOST)]
+
+
+def test_through_a_router_with_rules_passes_what_a_run_needs(folder: Path) -> None:
+    """The rules are those that the command prints, put into somebody else's router."""
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+
+    def opened(name: str) -> Session:
+        at = door(endpoint, name, folder, insecure=False)
+        return closing.enter_context(Session.connect(at, QUICK_PAYLOAD, PATIENCE))
+
+    with ExitStack() as closing:
+        config = zenoh.Config()
+        settings = {
+            "mode": "router",
+            "listen/endpoints": [endpoint],
+            "access_control": router_rules(KEYS, AGENTS),
+            **door(endpoint, HOST, folder, insecure=False).settings,
+        }
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+        closing.enter_context(zenoh.open(config))
+        host, learner, observer = map(opened, (HOST, "agent_1", OBSERVER))
+        arrived: set[str] = set()
+
+        def hear(session: Session, key: str, label: str) -> None:
+            session.subscribe(key, lambda payload: arrived.add(label))
+
+        status = KEYS.status("agent_1")
+        hear(host, KEYS.action("agent_1"), "action")
+        hear(host, status, "status")
+        hear(observer, status, "status at the launcher")
+        hear(learner, KEYS.observation("agent_1"), "observation")
+        hear(learner, KEYS.status(HOST), "the host's status")
+        host.answer(KEYS.spec, lambda _: b"spec")
+        host.answer(KEYS.history("agent_1"), lambda _: b"history")
+        host.watch_alive(KEYS.alive("agent_1"), lambda alive: arrived.add("token"))
+        learner.watch_alive(KEYS.alive(HOST), lambda alive: arrived.add("the host's token"))
+        observer.watch_alive(KEYS.alive(HOST), lambda alive: arrived.add("token at the launcher"))
+        host.declare_alive(KEYS.alive(HOST))
+        learner.declare_alive(KEYS.alive("agent_1"))
+        puts = [learner.publisher(key) for key in (KEYS.action("agent_1"), status)]
+        puts += [host.publisher(key) for key in (KEYS.observation("agent_1"), KEYS.status(HOST))]
+        end = time.monotonic() + PATIENCE
+        while len(arrived) < 8 and time.monotonic() < end:
+            for put in puts:
+                put(b"something")
+            for key in OWN.asks:  # also the time in which the rest arrives
+                if learner.ask(key, {}, timeout=1.0) is None:
+                    arrived.discard("action")
+        assert arrived == {
+            "action",
+            "status",
+            "status at the launcher",
+            "observation",
+            "the host's status",
+            "token",
+            "the host's token",
+            "token at the launcher",
+        }

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from otc_dist import certs
-from otc_dist.bus.access import access_control
+from otc_dist.bus.access import host_rules
 from otc_dist.bus.endpoints import Door, door, local_endpoint
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from otc_dist.bus.keys import HOST, OBSERVER, Keys
@@ -82,10 +82,9 @@ def test_the_launcher_looks_on_through_the_socket_of_its_machine(
     ours: Path, tmp_path: Path
 ) -> None:
     keys = Keys("a-run")
-    uses = keys.observer_uses(AGENTS)
     endpoint, local = f"tls/127.0.0.1:{free_port()}", Door(local_endpoint(tmp_path))
     doors = [door(endpoint, HOST, ours, insecure=False), local]
-    rules = access_control({agent: keys.learner_uses(agent) for agent in AGENTS}, local=uses)
+    rules = host_rules(keys, AGENTS)
     heard: list[bytes] = []
     learner = door(endpoint, "agent_1", ours, insecure=False)
     with (
