@@ -65,7 +65,8 @@ def _start(arguments: argparse.Namespace) -> int:
     quickly, whose = "-quick" if quick else "", f"-{place.agent}" if place.agent else ""
     name = f"{description.name}{quickly}-seed{description.seed}{whose}"
     out: Path = arguments.out or Path("runs") / name
-    planned = plan.make(description, RunFolder(out.resolve()), out.name, place)
+    run = out.name if place.role == "all" else run_record.shared_name(description)
+    planned = plan.make(description, RunFolder(out.resolve()), run, place)
     if arguments.dry_run:
         if quick:
             print(descriptions.QUICK_LABEL)

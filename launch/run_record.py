@@ -24,7 +24,7 @@ from .place import Place
 
 State = Literal["running", "stopped", "failed", "finished"]
 # What can change a run's bits. A run goes on only with the versions that it began with.
-_ODD = r"[^A-Za-z0-9_.-]"  # in a name
+_ODD = r"[^A-Za-z0-9_.-]"  # what may not stand in the bus's keys
 PACKAGES = ("torch", "mujoco", "numpy", "scipy", "eclipse-zenoh", "mcap")
 
 
@@ -87,7 +87,7 @@ def create(folder: RunFolder, description: Description, quick: bool, place: Plac
     """Write a new run's description.toml and run.json."""
     started = _now()
     record = RunRecord(
-        run=_bus_name(folder, description, place, started),
+        run=_own_name(folder, started) if place.role == "all" else shared_name(description),
         description=description.digest(),
         command=["python", "-m", "otc_dist.launch", *sys.argv[1:]],
         versions=versions(),
@@ -100,14 +100,13 @@ def create(folder: RunFolder, description: Description, quick: bool, place: Plac
     return record
 
 
-def _bus_name(folder: RunFolder, description: Description, place: Place, started: str) -> str:
-    """The run's name in the bus's keys, where no wildcard or slash may stand.
+def shared_name(description: Description) -> str:
+    """The name on the bus of a run on several hosts, which all know nothing but its description."""
+    return re.sub(_ODD, "_", f"{description.name}-seed{description.seed}")
 
-    Hosts that know of each other nothing but the description must come to the same name; a run on
-    one machine is told apart by folder and time, should two of one name meet on a router.
-    """
-    if place.role != "all":
-        return re.sub(_ODD, "_", f"{description.name}-seed{description.seed}")
+
+def _own_name(folder: RunFolder, started: str) -> str:
+    """The name of a run on one machine: told apart, should two of one name meet on a router."""
     digest = hashlib.blake2b(f"{folder.root}{started}".encode(), digest_size=3).hexdigest()
     return f"{re.sub(_ODD, '_', folder.root.name)}-{digest}"
 

@@ -108,7 +108,8 @@ def test_a_learners_host_makes_and_names_its_own_data_alone(
     plan = _plan(capsys, *LEARNER, "--certs", "certs")
     assert "--agent agent_1 --connect tls/192.0.2.1:7447" in plan
     assert "datasets make hopper-3x1/medium-replay --transitions 100 --agent agent_1" in plan
-    assert "services.env_host" not in plan and "3agent_hopper-seed0-agent_1" in plan
+    assert "services.env_host" not in plan and "runs/3agent_hopper-seed0-agent_1" in plan
+    assert "otc/3agent_hopper-seed0/agent_1/observation" in plan
     assert "agent_0" not in plan and "agent_2" not in plan
 
 
