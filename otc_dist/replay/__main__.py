@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from otc_dist.errors import run_main
+from otc_dist.deployment_log.format import DamagedLogError
+from otc_dist.errors import UserError, run_main
 from otc_dist.replay.export.formats import FORMATS
 from otc_dist.replay.selection import step_range
 
@@ -80,7 +81,10 @@ def main(argv: list[str]) -> int:
     arguments = _parser().parse_args(argv)
     chosen = (action.module for action in _ACTIONS if getattr(arguments, action.name))
     module = import_module(f"otc_dist.replay.{next(chosen, 'summary')}")
-    status: int = module.run(arguments)
+    try:
+        status: int = module.run(arguments)
+    except DamagedLogError as error:
+        raise UserError(f"{error}; --recover writes what is whole to another file") from None
     return status
 
 

@@ -61,11 +61,14 @@ def simulator(log: OpenLog) -> BatchedEnv:
         UserError: it is not known or not installed here, or has other agents.
     """
     header = log.header
-    # Not by `Description`: what else an older version wrote there need not be understood.
-    count = tomllib.loads(header.description)["deployment"]["count"]
-    gone = progress(header.deployment, count)
     try:
-        env = registry.make(header.team.env_id, header.copies, gone)
+        # Not by `Description`: what else an older version wrote there need not be understood.
+        count = tomllib.loads(header.description)["deployment"]["count"]
+        env = registry.make(
+            header.team.env_id, header.copies, progress(header.deployment, int(count))
+        )
+    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+        raise UserError(f"the description in {log.path} lacks deployment.count") from None
     except UserError as error:
         raise UserError(f"{log.path} cannot be played again here: {error}") from None
     if env.spec != header.team:

@@ -60,6 +60,22 @@ def test_what_is_no_log_of_ours(tmp_path: Path, refused, action: str, kind: str)
     assert {p.name for p in tmp_path.iterdir()} == before
 
 
+@pytest.mark.parametrize("action", [action for action in ACTIONS if action != "recover"])
+def test_a_damaged_log_points_to_recover(
+    recorded: tuple[Recording, Path], tmp_path: Path, replay, refused, action: str
+) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(recorded[1].read_bytes()[:-100])
+    arguments = (path, *(part.format(tmp_path) for part in ACTIONS[action]))
+    if action == "verify":
+        status, message = replay(*arguments)
+        assert status == 1
+    else:
+        message = refused(*arguments)
+    assert "is damaged" in message and "; --recover writes what is whole" in message
+    assert [p.name for p in tmp_path.iterdir()] == ["log.mcap"]
+
+
 def test_the_line_goes_to_the_error_output_and_the_status_is_2(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "otc_dist.replay", str(tmp_path / "none.mcap")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
