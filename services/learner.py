@@ -243,7 +243,9 @@ def main() -> None:
             rejections = Rejections()
             if not run.description.bus.router:  # it listens, so it can answer
                 deadline = run.description.bus.answer_deadline
-            agree(session, run.keys, run.spec, deadline, rejections)
+            waiting = Status(agent.name, "waiting")
+            with Heartbeat(session, run.keys, agent.name, rejections, lambda: waiting):
+                agree(session, run.keys, run.spec, deadline, rejections)
             service = LearnerService(run, agent, session, rejections)
             with service.heartbeat:
                 service.serve()

@@ -39,12 +39,15 @@ def agree(
             rejections.count(rejected)
             reason = f" with a spec that can be accepted ({rejected})"
         if time.monotonic() > end:
-            raise UserError(f"no env host of run {keys.run!r} answered for {deadline:g} s{reason}")
+            raise UserError(
+                f"no env host of run {keys.run!r} answered for {deadline:g} s{reason}:"
+                " do both sides run a description of the same name and seed?"
+            )
         time.sleep(_RETRY)
     if theirs.description != mine.description:
         raise UserError(
             f"the env host runs another description ({theirs.description}) than this learner"
-            f" ({mine.description}): copy its description.toml"
+            f" ({mine.description}): give both the same description, --set and --seed"
         )
     if theirs != mine:
         raise UserError(

@@ -13,9 +13,14 @@ from pathlib import Path
 import pytest
 
 from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
+from otc_dist.bus.handshake import agree, offer
+from otc_dist.bus.keys import Keys
 from otc_dist.bus.links import QUICK_PAYLOAD
+from otc_dist.bus.replies import RunSpec
 from otc_dist.bus.session import Session
+from otc_dist.bus.wire import Rejections
 from otc_dist.errors import UserError
+from otc_dist.spec import AgentSpec
 
 PATIENCE = 20.0  # seconds; only a test that fails waits as long
 
@@ -116,6 +121,24 @@ def test_queries_carry_parameters_and_refusals(endpoint: str) -> None:
         assert answer == b"{'deployment': '3', 'start': '0'}"
         with pytest.raises(LookupError, match="no such thing"):
             client.ask("a/key", {"wrong": "1"}, PATIENCE)
+
+
+def test_a_learner_of_another_description_is_told_so(endpoint: str) -> None:
+    keys, agents = Keys("a-run"), (AgentSpec("agent_0", 3, (-1.0,), (1.0,)),)
+    with Session.listen([Door(endpoint)], 2048) as host, Session.connect(Door(endpoint), 2048) as s:
+        offer(host, keys, RunSpec("an-env", agents, "theirs"))
+        agree(s, keys, RunSpec("an-env", agents, "theirs"), PATIENCE, Rejections())
+        for mine, says in (
+            (RunSpec("an-env", agents, "mine"), "runs another description (theirs) than this"),
+            (RunSpec("an-env", agents * 2, "theirs"), "install the same version"),
+        ):
+            with pytest.raises(UserError) as refused:
+                agree(s, keys, mine, PATIENCE, Rejections())
+            assert says in str(refused.value) and "\n" not in str(refused.value)
+        with pytest.raises(
+            UserError, match="no env host of run 'another-run' answered for 0 s: do"
+        ):
+            agree(s, Keys("another-run"), RunSpec("", (), ""), 0.0, Rejections())
 
 
 def test_liveliness_is_seen_to_come_and_to_go(endpoint: str) -> None:

@@ -203,7 +203,10 @@ def test_separate_hosts_come_to_the_bytes_of_one_machine(
     tmp_path: Path,
     tiny_flags: tuple[str, ...],
 ) -> None:
-    """Each in a network of its own, with its own agent's certificate and data and nothing else."""
+    """Each in a network of its own, with its own agent's certificate and data and nothing else.
+
+    And though the env host is killed: all links to it are made again.
+    """
     with star(len(AGENTS)) as (centre, hosts):
         list(certs.make(tmp_path / "certs", AGENTS, [host.centre for host in hosts], days=1))
         run = ("3agent_hopper", *tiny_flags, "--role")
@@ -217,6 +220,9 @@ def test_separate_hosts_come_to_the_bytes_of_one_machine(
         there = ("--listen", "tls/0.0.0.0:7447", "--certs", "certs", "--out", "run")
         where = {"prefix": centre.prefix, "cache": tmp_path / "cache"}
         env_host = launch(*run, "host", *there, **where)
+        env_host.read_until(lambda line: line.startswith("host: deployment 1"))
+        (victim,) = processes_of(tmp_path / "run").values()
+        os.kill(victim, signal.SIGKILL)
         for launcher in (env_host, *learners):
             assert launcher.finish() == 0, launcher.text
     same(
