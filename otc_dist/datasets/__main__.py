@@ -51,7 +51,9 @@ def main(argv: list[str]) -> int:
     elif arguments.command == "show":
         print(describe(_cached(arguments.name, arguments.transitions)))
     else:
-        print(describe(import_files(arguments.files, arguments.name, arguments.env)))
+        with progress.shown("reading", "logs") as report:
+            card = import_files(arguments.files, arguments.name, arguments.env, report)
+        print(describe(card))
     return 0
 
 

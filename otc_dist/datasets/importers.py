@@ -17,13 +17,16 @@ from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
 from otc_dist.envs.robot_specs import PARTITIONS
 from otc_dist.errors import UserError
+from otc_dist.progress import Report, silent
 from otc_dist.spec import TeamSpec
 
 if TYPE_CHECKING:
     import h5py
 
 
-def import_files(sources: Sequence[Path], level: str = "", env_id: str = "") -> DatasetCard:
+def import_files(
+    sources: Sequence[Path], level: str = "", env_id: str = "", report: Report = silent
+) -> DatasetCard:
     """Import deployment logs, joined, or one file of another kind; see those functions.
 
     An agent's own file, copied from another machine, keeps the name of its set.
@@ -32,7 +35,7 @@ def import_files(sources: Sequence[Path], level: str = "", env_id: str = "") -> 
         UserError: as they do; several files that are not all logs, no level where one is needed.
     """
     if all(map(is_log, sources)):
-        return import_logs(sources, level, env_id)
+        return import_logs(sources, level, env_id, report)
     if len(sources) == 1 and is_agent_file(sources[0]):
         return import_agent_file(sources[0])
     first = next(source for source in sources if not is_log(source))
@@ -43,7 +46,9 @@ def import_files(sources: Sequence[Path], level: str = "", env_id: str = "") -> 
     return import_file(first, level, env_id)
 
 
-def import_logs(sources: Sequence[Path], level: str = "", env_id: str = "") -> DatasetCard:
+def import_logs(
+    sources: Sequence[Path], level: str = "", env_id: str = "", report: Report = silent
+) -> DatasetCard:
     """Import deployment logs as the data set `<env_id>/<level>` and return its card.
 
     To import the same files again changes nothing.
@@ -51,12 +56,13 @@ def import_logs(sources: Sequence[Path], level: str = "", env_id: str = "") -> D
     Args:
         level: the name after the slash; "": the name of the run that the logs are of.
         env_id: what the logs were recorded in, if it shall be checked.
+        report: called with (logs read, of how many).
 
     Raises:
         UserError: as `read_logs`; logs of several runs and no level; another environment than
             `env_id`; a name that is taken; a full disk.
     """
-    logged = read_logs(sources)
+    logged = read_logs(sources, report)
     team, data = logged.team, logged.data
     if env_id not in ("", team.env_id):
         raise UserError(f"{sources[0]} was recorded in {team.env_id}, not in {env_id}")

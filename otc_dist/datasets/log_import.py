@@ -19,6 +19,7 @@ from otc_dist.deployment_log.salvage import Salvage
 from otc_dist.deployment_log.several import in_order
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.progress import Report, silent
 from otc_dist.spec import TeamSpec
 from otc_dist.transitions import Bool, Transitions, choice_problem
 
@@ -58,17 +59,23 @@ def is_log(path: Path) -> bool:
         return False
 
 
-def read_logs(paths: Sequence[Path]) -> Logged:
+def read_logs(paths: Sequence[Path], report: Report = silent) -> Logged:
     """Join logs of one environment. Of an unfinished or damaged one, every whole step is taken.
 
     Steps in which the simulator broke off (both terminated and truncated) did not happen, and are
     left out.
 
+    Args:
+        report: called with (logs read, of how many).
+
     Raises:
         UserError: no log, of different environments, of an environment that is not known or has
             other agents now, the same deployment twice, or bad values.
     """
-    found = {path: _read(path) for path in paths}
+    found = {}
+    for number, path in enumerate(paths, 1):
+        found[path] = _read(path)
+        report(number, len(paths))
     files = [found[path] for path in in_order({path: file.header for path, file in found.items()})]
     team = files[0].header.team
     starts = np.cumsum([0, *(file.episodes.max(initial=-1) + 1 for file in files[:-1])])
