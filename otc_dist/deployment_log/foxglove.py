@@ -42,7 +42,7 @@ class FoxgloveChannels:
 
     def __init__(self, writer: Writer, header: LogHeader, copy: int = 0) -> None:
         self._writer, self._team, self._copy = writer, header.team, copy
-        self._scene = find(header.team.env_id)
+        self._scene = find(header.team)
         self._scalars = self._register("/step", schemas.STEP, schemas.step_schema(header.team))
         if self._scene is not None:
             self._scene_channel = self._register("/scene", schemas.SCENE, schemas.scene_schema())

@@ -8,19 +8,19 @@ from PIL import Image
 
 from otc_dist.errors import UserError
 from otc_dist.replay.drawing import Panel, ScenePicture
-from otc_dist.replay.offscreen import Offscreen, Picture
+from otc_dist.replay.offscreen import Offscreen
 from otc_dist.replay.tape import Tape
 from otc_dist.scenes.robots import RobotScene
 
 WIDTH, HEIGHT = 1120, 480  # px; even numbers, as video codecs want
 _PANEL = 320  # px
 
-Paint = Callable[[int], Picture]  # of step i of the tape
+Paint = Callable[[int], Image.Image]  # of step i of the tape
 
 
 @contextmanager
 def painter(tape: Tape) -> Iterator[Paint]:
-    """Paints the tape's steps, (HEIGHT, WIDTH, 3); robots by MuJoCo, all else drawn.
+    """Paints the tape's steps, WIDTH x HEIGHT; robots by MuJoCo, all else drawn.
 
     Raises:
         UserError: the environment cannot be drawn, or robots cannot be rendered here.
@@ -33,11 +33,11 @@ def painter(tape: Tape) -> Iterator[Paint]:
         )
     panel = Panel(tape, _PANEL, HEIGHT)
 
-    def beside(picture: Image.Image, i: int) -> Picture:
+    def beside(picture: Image.Image, i: int) -> Image.Image:
         whole = Image.new("RGB", (WIDTH, HEIGHT))
         whole.paste(picture, (0, 0))
         whole.paste(panel.draw(i), (WIDTH - _PANEL, 0))
-        return np.asarray(whole)
+        return whole
 
     if not isinstance(scene, RobotScene):
         drawn = ScenePicture(tape, scene, WIDTH - _PANEL, HEIGHT)

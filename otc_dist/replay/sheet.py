@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
             for n, i in enumerate(moments.tolist()):
                 place = (n % _COLUMNS, n // _COLUMNS)
                 corner = (_GAP + place[0] * (WIDTH + _GAP), _GAP + place[1] * (HEIGHT + _GAP))
-                sheet.paste(Image.fromarray(paint(i)), corner)
+                sheet.paste(paint(i), corner)
                 report(n + 1, len(moments))
         half = (size[0] // 2, size[1] // 2)
         sheet.resize(half, Image.Resampling.LANCZOS).save(path, "png")

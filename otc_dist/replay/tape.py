@@ -102,7 +102,7 @@ def read_tape(log: OpenLog, summary: LogSummary, selection: Selection) -> Tape:
         header=log.header,
         copy=copy,
         places=places,
-        scene=find(team.env_id),
+        scene=find(team),
         numbers=numbers[wanted],
         episodes=np.array(of_copy, np.int64)[which[wanted]],
         states=columns["state"][wanted],

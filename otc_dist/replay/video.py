@@ -29,11 +29,9 @@ def run(arguments: argparse.Namespace) -> int:
         with av.open(path, "w", format="mp4") as film, shown(out.name, "frames") as report:
             stream = film.add_stream("libx264", rate=1 / (every * seconds))
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
-            # The file depends on the number of threads.
-            stream.codec_context.thread_count = 1
             stream.options = {"crf": _QUALITY, "preset": "veryfast"}
             for done, i in enumerate(frames, start=1):
-                film.mux(stream.encode(av.VideoFrame.from_ndarray(paint(i), format="rgb24")))
+                film.mux(stream.encode(av.VideoFrame.from_image(paint(i))))
                 report(done, len(frames))
             film.mux(stream.encode())
     print(out)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from otc_dist.envs.registry import team_spec
 from otc_dist.scenes.families import find
 from otc_dist.scenes.scene import AGENT_COLOURS
 from otc_dist.transitions import JointStep
@@ -66,7 +67,7 @@ def test_the_page_holds_what_the_log_holds(page: Path, deployment) -> None:
     for i, agent in enumerate(tape["agents"]):
         found = array(agent["actions"], "<f4", 120, 1)
         assert found.tobytes() == np.stack([s.actions[i][0] for s in steps]).tobytes()
-    scene = find(ENV)
+    scene = find(team_spec(ENV))
     assert scene is not None
     poses = scene.frames(np.stack([s.state[0] for s in steps])).poses
     found = array(tape["scene"]["poses"], "<f4", 120, 4, 3)

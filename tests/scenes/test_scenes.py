@@ -1,5 +1,7 @@
 """Bodies are where the state says."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -37,7 +39,7 @@ def states_of(env_id: str, steps: int = 6) -> np.ndarray:
 
 
 def scene_of(env_id: str) -> Scene:
-    scene = find(env_id)
+    scene = find(registry.team_spec(env_id))
     assert scene is not None
     return scene
 
@@ -137,4 +139,8 @@ def test_every_usual_environment_can_be_drawn_and_has_no_name_twice() -> None:
 
 
 def test_others_cannot() -> None:
-    assert find("smac-3m") is None and find("no-such-task") is None
+    """Nor one that was another when it was logged: its states would be misread."""
+    hopper = registry.team_spec("hopper-3x1")
+    assert find(replace(hopper, env_id="smac/3m")) is None
+    assert find(replace(hopper, env_id="no-such-task")) is None
+    assert find(replace(hopper, state_size=20)) is None
