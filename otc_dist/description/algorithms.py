@@ -88,7 +88,7 @@ class CqlSection(LargeSection):
     critic_learning_rate: float = Field(default=1e-4, gt=0)
     target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
     weight: float = Field(
-        default=5.0, ge=0, description="w of the conservative term: 5 or 10 in its authors' code"
+        default=20.0, ge=0, description="w of the conservative term (its authors: 5 or 10)"
     )
     action_samples: int = Field(
         default=10, ge=1, description="actions of each kind in the conservative term"
