@@ -4,6 +4,8 @@ import argparse
 from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
+
 from otc_dist.errors import UserError
 from otc_dist.progress import shown
 from otc_dist.replay.output import claimed
@@ -31,7 +33,8 @@ def run(arguments: argparse.Namespace) -> int:
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
             stream.options = {"crf": _QUALITY, "preset": "veryfast"}
             for done, i in enumerate(frames, start=1):
-                film.mux(stream.encode(av.VideoFrame.from_image(paint(i))))
+                frame = av.VideoFrame.from_ndarray(np.asarray(paint(i)), format="rgb24")
+                film.mux(stream.encode(frame))
                 report(done, len(frames))
             film.mux(stream.encode())
     print(out)
