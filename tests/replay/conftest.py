@@ -9,6 +9,9 @@ from otc_dist.errors import UserError
 from otc_dist.replay.__main__ import main
 from tests.deployment_log.conftest import Recording
 
+from .deployments import Deployments
+from .played import play
+
 Replay = Callable[..., tuple[int, str]]
 
 
@@ -43,3 +46,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, Path]
     """A deployment of 1,200 random steps in two copies, and its finished log of several chunks."""
     made = Recording(((50, 3), (40, 2)), copies=2, steps=1200)
     return made, made.finish(tmp_path_factory.mktemp("recorded") / "log.mcap")
+
+
+@pytest.fixture(scope="session")
+def hopper(tmp_path_factory: pytest.TempPathFactory) -> Deployments:
+    """Two deployments of a run; hoppers fall, and the ends of the logs cut some off."""
+    folder = tmp_path_factory.mktemp("hopper")
+    paths = [folder / f"deployment_{k:02d}.mcap" for k in (1, 2)]
+    steps = [play("hopper-3x1", paths[k], 150, run="r", deployment=k + 1) for k in (0, 1)]
+    return Deployments(paths, steps)

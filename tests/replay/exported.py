@@ -13,9 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-# Of one agent: observations, actions, rewards, next_observations, terminated, truncated, and
-# starts (of the trajectories), as far as a format has them.
-Arrays = dict[str, NDArray[Any]]
+from .deployments import Arrays
 
 
 def read_d4rl(out: Path, agent: str) -> Arrays:

@@ -1,18 +1,14 @@
-"""Exports hold what was logged, to the bit, in the words of each format; or nothing is written."""
+"""Exports hold what was logged, to the bit, in the words of each format."""
 
 import json
-import os
-import subprocess
-import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from numpy.typing import NDArray
 
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_files
@@ -20,71 +16,15 @@ from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import Rows
 from otc_dist.replay.export.trajectories import trajectories
 from otc_dist.replay.selection import Selection
-from otc_dist.transitions import JointStep
 from tests.deployment_log.conftest import Recording
 
-from .exported import READERS, Arrays, column, minari_episodes, read_parquet
+from .conftest import Replay
+from .deployments import Arrays, Deployments
+from .exported import READERS, column, minari_episodes, read_parquet
 from .played import play
 
 FORMATS = tuple(READERS)
 AGENTS = ("agent_0", "agent_1", "agent_2")
-Replay = Callable[..., tuple[int, str]]
-
-
-@dataclass
-class Deployments:
-    """Logs, and the steps of each."""
-
-    paths: list[Path]
-    steps: list[list[JointStep]]
-
-    def trajectories(self) -> list[list[tuple[int, int, JointStep]]]:
-        """(log, copy, step) of every trajectory, in the order of their ends."""
-        found = []
-        for log, steps in enumerate(self.steps):
-            copies = len(steps[0].terminated)
-            waiting: list[list[tuple[int, int, JointStep]]] = [[] for _ in range(copies)]
-            for step in steps:
-                for copy in range(copies):
-                    waiting[copy].append((log, copy, step))
-                    if step.terminated[copy] or step.truncated[copy]:
-                        found.append(waiting[copy])
-                        waiting[copy] = []
-            found += [part for part in waiting if part]
-        return found
-
-    def of_agent(self, index: int) -> Arrays:
-        """What an export of that agent has to hold."""
-        parts = self.trajectories()
-        rows = [row for part in parts for row in part]
-
-        def stacked(name: str) -> NDArray[Any]:
-            return np.array([getattr(step, name)[index][copy] for _, copy, step in rows])
-
-        return {
-            "observations": stacked("observations"),
-            "actions": stacked("actions"),
-            "rewards": stacked("rewards"),
-            "next_observations": stacked("next_observations"),
-            "terminated": np.array([step.terminated[copy] for _, copy, step in rows]),
-            "truncated": np.array([step.truncated[copy] for _, copy, step in rows]),
-            "exploring": np.array([step.exploring[index] for _, _, step in rows]),
-            "starts": np.cumsum([0, *(len(part) for part in parts[:-1])]),
-            "log": np.array([log for log, _, _ in rows]),
-            "copy": np.array([copy for _, copy, _ in rows]),
-            "step": np.array([step.step for _, _, step in rows]),
-        }
-
-
-@pytest.fixture(scope="module")
-def hopper(tmp_path_factory: pytest.TempPathFactory) -> Deployments:
-    """Two deployments of a run; hoppers fall, and the ends of the logs cut some off."""
-    folder = tmp_path_factory.mktemp("hopper")
-    paths = [folder / f"deployment_{k:02d}.mcap" for k in (1, 2)]
-    steps = [
-        play("hopper-3x1", path, 150, run="r", deployment=k + 1) for k, path in enumerate(paths)
-    ]
-    return Deployments(paths, steps)
 
 
 def same_bits(found: Arrays, expected: Arrays) -> None:
@@ -261,94 +201,3 @@ def test_no_trajectory_goes_over_steps_that_are_missing(
     assert sum(map(len, found)) == 2 * (150 - len(missing))
     whole = [part for part in hopper.trajectories() if part[0][0] == 0]
     assert len(found) <= len(whole) + 2
-
-
-def test_an_export_that_exists_is_replaced_only_by_force_and_nothing_else_ever(
-    hopper: Deployments, replay: Replay, refused: Callable[..., str], tmp_path: Path
-) -> None:
-    command = (*hopper.paths[:1], "--export", "csv", "--out", tmp_path / "out")
-    replay(*command)
-    before = (tmp_path / "out" / "agent_0.csv").read_bytes()
-    assert "--force" in refused(*command)
-    replay(*command, "--force", "--steps", "0:10")
-    assert len((tmp_path / "out" / "agent_0.csv").read_bytes()) < len(before)
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "letter.txt").touch()
-    message = refused(*command[:-1], tmp_path / "mine", "--force")
-    assert "something else" in message
-    assert (tmp_path / "mine" / "letter.txt").exists()
-
-
-def test_mistakes_are_one_line(
-    hopper: Deployments, refused: Callable[..., str], tmp_path: Path
-) -> None:
-    out = ("--export", "csv", "--out", tmp_path / "out")
-    assert "--out" in refused(*hopper.paths, "--export", "csv")
-    assert "has no agent 'agent_9'" in refused(*hopper.paths, *out, "--agent", "agent_9")
-    play("navigation", tmp_path / "other.mcap", 5, run="r", deployment=3)
-    assert "of navigation" in refused(*hopper.paths, tmp_path / "other.mcap", *out)
-    (tmp_path / "text.mcap").write_text("hello")
-    assert "is not an MCAP file" in refused(tmp_path / "text.mcap", *out)
-    damaged = bytearray(hopper.paths[0].read_bytes())
-    damaged[len(damaged) // 3] ^= 1
-    (tmp_path / "damaged.mcap").write_bytes(damaged)
-    assert "is damaged" in refused(tmp_path / "damaged.mcap", *out)
-    assert not any(path.name.startswith((".out", "out")) for path in tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("form", "library"), [("csv", "pyarrow"), ("d4rl", "h5py"), ("minari", "minari")]
-)
-def test_without_its_library_the_extra_is_named(
-    hopper: Deployments,
-    refused: Callable[..., str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    form: str,
-    library: str,
-) -> None:
-    for module in [name for name in sys.modules if name.startswith("otc_dist.replay.export.")]:
-        if not module.endswith(("formats", "trajectories", "command", "room")):
-            monkeypatch.delitem(sys.modules, module)
-    monkeypatch.setitem(sys.modules, library, None)
-    message = refused(hopper.paths[0], "--export", form, "--out", tmp_path / "out")
-    assert "pip install 'otc-dist[export]'" in message and library in message
-
-
-LIMITED = """
-import resource, sys
-resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
-from otc_dist.errors import run_main
-from otc_dist.replay.__main__ import main
-run_main(main)
-"""
-
-
-@pytest.mark.parametrize("form", ["minari", "parquet"])
-def test_without_room_on_the_disk_nothing_is_left_behind(
-    hopper: Deployments, tmp_path: Path, form: str
-) -> None:
-    """No file may grow beyond 200 kB: to the program as if the disk were full."""
-    arguments = (str(hopper.paths[0]), "--export", form, "--out", str(tmp_path / "out"))
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED, *arguments],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    (line,) = done.stderr.splitlines()
-    assert (done.returncode, line) == (2, f"error: cannot write {tmp_path / 'out'}: File too large")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_interrupted_export_leaves_nothing_behind(
-    hopper: Deployments, replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("otc_dist.replay.export.command.require_room", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        replay(*hopper.paths, "--export", "lerobot", "--out", tmp_path / "out")
-    assert list(tmp_path.iterdir()) == []
