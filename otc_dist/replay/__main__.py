@@ -23,6 +23,8 @@ examples:
   python -m otc_dist.replay deployment_01.mcap --verify
   python -m otc_dist.replay deployment_01.mcap --export parquet --out exported
   python -m otc_dist.replay runs/3agent_hopper-seed0/deployments/*.mcap --publish --rate 10
+  python -m otc_dist.replay deployment_01.mcap --html page.html
+  python -m otc_dist.replay deployment_01.mcap --episode 3 --video film.mp4
   python -m otc_dist.replay damaged.mcap --recover --out whole.mcap
 
 exit status: 0 all is well; 1 --verify found something wrong, --recover something missing, or a
@@ -68,7 +70,12 @@ _ACTIONS: tuple[_Action, ...] = (
     ),
     _Action("--video", "video", "a film of it", metavar="OUT.mp4"),
     _Action("--sheet", "sheet", "pictures of it on one sheet", metavar="OUT.png"),
-    _Action("--foxglove", "foxglove", "it and alpha and 𝔻 for Foxglove", metavar="OUT.mcap"),
+    _Action(
+        "--foxglove",
+        "foxglove",
+        "what Foxglove shows of it, alpha and 𝔻 besides",
+        metavar="OUT.mcap",
+    ),
     _Action("--html", "html", "one page that plays it in any browser", metavar="OUT.html"),
     _Action("--verify", "verify", "check it, and play it again: every bit must come out as logged"),
     _Action("--publish", "publish", "put a run's logs on the bus again, under its keys"),
