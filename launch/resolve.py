@@ -6,6 +6,7 @@ import sys
 
 from otc_dist.datasets.names import DatasetName
 from otc_dist.description import Description
+from otc_dist.description.algorithms import check_fit
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 
@@ -28,10 +29,12 @@ def resolve(description: Description, data_here: bool = True) -> Description:
             be here.
 
     Raises:
-        UserError: an unknown environment or data set, a data set of another environment, or an
-            engine that this machine cannot run.
+        UserError: an unknown environment or data set, a data set of another environment, an
+            algorithm that does not fit its agents, or an engine that this machine cannot run.
     """
-    registry.team_spec(description.env.id)
+    task = registry.task(description.env.id)
+    for agent in registry.team_spec(description.env.id).agents:
+        check_fit(description.algorithm, agent, task)
     name, transitions = description.dataset.name, description.dataset.transitions
     if name.rpartition("/")[0] != description.env.id:
         raise UserError(

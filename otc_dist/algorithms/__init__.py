@@ -11,7 +11,7 @@ from otc_dist.algorithms.discrete_cql import DiscreteCql
 from otc_dist.algorithms.interface import Algorithm
 from otc_dist.algorithms.td3bc import Td3Bc
 from otc_dist.description import AlgorithmSection
-from otc_dist.errors import UserError
+from otc_dist.description.algorithms import check_fit
 from otc_dist.spec import AgentSpec, Task
 
 _ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
@@ -30,21 +30,10 @@ def create(section: AlgorithmSection, spec: AgentSpec, task: Task | None = None)
     Raises:
         UserError: it is for the other kind of actions, or plans and knows no `task`.
     """
-    if section.discrete != bool(spec.choices):
-        has = f"{spec.choices} discrete actions" if spec.choices else "continuous actions"
-        suited = "'discrete-cql'" if spec.choices else "for example 'bcq'"
-        raise UserError(
-            f"algorithm.name = {section.name!r} does not fit {spec.name}, which has {has};"
-            f" use {suited}"
-        )
+    check_fit(section, spec, task)
     sizes: dict[str, Any] = {"observation_size": spec.observation_size}
     sizes["action_size"] = spec.choices or spec.action_size
     settings = section.model_dump(exclude={"name", "batch_size"})
     if section.name not in _PLANNING:
         return _ALGORITHMS[section.name](**sizes, **settings)
-    if task is None:
-        raise UserError(
-            f"algorithm.name = {section.name!r} plans in a model and needs the task's reward"
-            " function, which this environment does not provide; use another algorithm"
-        )
     return _PLANNING[section.name](task=task, **sizes, **settings)

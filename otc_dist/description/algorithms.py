@@ -9,6 +9,8 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, PositiveInt
 
 from otc_dist.description.section import Section
+from otc_dist.errors import UserError
+from otc_dist.spec import AgentSpec, Task
 
 
 class CommonSection(Section):
@@ -18,11 +20,13 @@ class CommonSection(Section):
         tuning_updates: L, updates after each deployment (Table 3).
         has_q: whether d_q can be used.
         discrete: whether it is for discrete actions, otherwise for continuous ones.
+        plans: whether it needs to be told the task.
     """
 
     tuning_updates: ClassVar[int]
     has_q: ClassVar[bool] = True
     discrete: ClassVar[bool] = False
+    plans: ClassVar[bool] = False
 
     batch_size: int = Field(default=128, ge=1)
     discount: float = Field(default=0.99, ge=0, lt=1)
@@ -127,6 +131,7 @@ class BremenSection(LargeSection):
     """BREMEN. It has no Q, hence no d_q. docs/method.md compares it with its authors' code."""
 
     has_q: ClassVar[bool] = False
+    plans: ClassVar[bool] = True
 
     name: Literal["bremen"] = "bremen"
     actor_learning_rate: float = Field(default=1e-4, gt=0, description="of the clone")
@@ -150,3 +155,21 @@ AlgorithmSection = Annotated[
     BcqSection | AwacSection | CqlSection | DiscreteCqlSection | Td3BcSection | BremenSection,
     Field(discriminator="name"),
 ]
+
+
+def check_fit(section: AlgorithmSection, spec: AgentSpec, task: Task | None) -> None:
+    """Refuse an algorithm for the other kind of actions, or one that plans and knows no task.
+
+    Raises:
+        UserError: it does not fit; the message says what does.
+    """
+    name = f"algorithm.name = {section.name!r}"
+    if section.discrete != bool(spec.choices):
+        has = f"{spec.choices} discrete actions" if spec.choices else "continuous actions"
+        suited = "'discrete-cql'" if spec.choices else "for example 'bcq'"
+        raise UserError(f"{name} does not fit {spec.name}, which has {has}; use {suited}")
+    if section.plans and task is None:
+        raise UserError(
+            f"{name} plans in a model and needs the task's reward function, which this"
+            " environment does not provide; use another algorithm"
+        )

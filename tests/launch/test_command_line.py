@@ -34,6 +34,8 @@ SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
         (["3agent_hopper", "--set", "dataset.name=hopper-3x1/medum"], "hopper-3x1/medium"),
         (["3agent_hopper", "--set", "env.id=walker2d-2x3"], "is not of the environment"),
         (["3agent_hopper", "--set", "engine.name=gpu"], "engine.name"),
+        (["5m_vs_6m", "--set", "algorithm.name=bcq"], "use 'discrete-cql'"),
+        (["5m_vs_6m", "--set", "algorithm.name=bremen", "--set", "sampling.name=uniform"], "use"),
         (["predator_prey", "--set", "env.agents=0"], "greater than 0, not 0"),
         (["predator_prey", "--set", "env.agents=1"], "is for 2 agents or more, not 1"),
         (["navigation", "--set", "env.id=gone:parallel_env"], "there is no module gone"),
