@@ -129,6 +129,11 @@ class Panel:
         draw.line([(cursor, top - 3), (cursor, bottom + 3)], agent_colour(0), 2)
         return panel
 
+    def _choice(self, action: float) -> str:
+        names = self._tape.scene.choices if self._tape.scene is not None else ()
+        known = action.is_integer() and 0 <= action < len(names)
+        return names[int(action)] if known else f"choice {action:g}"
+
     def _draw_agents(self, draw: ImageDraw.ImageDraw, i: int, top: int, bottom: int) -> None:
         """As many as there is room for, and how many there are besides."""
         tape, right = self._tape, self._size[0] - _MARGIN
@@ -150,7 +155,7 @@ class Panel:
                 low, high = agent.action_low[j], agent.action_high[j]
                 box = (_MARGIN + 16, y + row // 2 - 4, right - 70, y + row // 2 + 4)
                 _bar(draw, box, action, low, high, colour, centred=not agent.choices)
-                text = f"choice {action:g}" if agent.choices else f"{action:.3f}"
+                text = self._choice(action) if agent.choices else f"{action:.3f}"
                 middle = y + row // 2
                 draw.text((right, middle), text, INK, self._small, anchor="rm")
                 y += row

@@ -93,6 +93,7 @@ def _scene(tape: Tape, scene: Scene) -> dict[str, object]:
             }
             for body in scene.bodies
         ],
+        "choices": scene.choices,
         "poses": _array(frames.poses, "<f4"),
         "levels": _array(frames.levels, "<f4"),
     }

@@ -31,6 +31,7 @@ class ParticleScene:
         self._standing = len(standing)
         self.bodies = (*standing, *agents, *others)
         self.view = View((0.0, 0.0), 2.2, 2.2, _ARENA)
+        self.choices = ()
         self.seconds = 0.1
 
     def frames(self, states: Float64) -> Frames:

@@ -34,6 +34,7 @@ class RobotScene:
             for number in range(1, model.nbody)
         )
         self.view = View((0.4, 0.8), 3.6, 2.2, follows=0)
+        self.choices = ()
         self.seconds = float(model.opt.timestep) * robot.frame_skip
 
     def frames(self, states: Float64) -> Frames:

@@ -91,6 +91,11 @@ class Scene(Protocol):
         """How long a step takes in the task's own time, or what is good to look at."""
         ...
 
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """What discrete actions are called, by their index; empty where they are continuous."""
+        ...
+
     def frames(self, states: Float64) -> Frames:
         """Where the bodies are in `states` (T, state_size), as `BatchedEnv.state` gives them.
 

@@ -32,6 +32,8 @@ class SkirmishScene:
             top - bottom + 2 * _MARGIN,
             ((left, bottom), (right, bottom), (right, top), (left, top)),
         )
+        attacks = (f"attack {j}" for j in range(rules.enemies))
+        self.choices = ("no-op", "stop", "north", "south", "east", "west", *attacks)
         self.seconds = 0.2
 
     def frames(self, states: Float64) -> Frames:

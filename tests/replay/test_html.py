@@ -107,6 +107,16 @@ def test_an_episode_of_another_copy(deployment, tmp_path: Path, replay: Replay) 
     assert steps[length - 1].terminated[1]
 
 
+def test_discrete_actions_have_names(tmp_path: Path, replay: Replay) -> None:
+    path = tmp_path / "log.mcap"
+    play("5m_vs_6m", path, 3)
+    replay(path, "--html", tmp_path / "out.html")
+    tape = tape_of(tmp_path / "out.html")
+    names = tape["scene"]["choices"]
+    assert len(names) == tape["agents"][0]["choices"] == 12
+    assert names[:3] == ["no-op", "stop", "north"] and names[6] == "attack 0"
+
+
 def test_an_environment_that_cannot_be_drawn(recorded, tmp_path: Path, replay: Replay) -> None:
     _, path = recorded
     replay(path, "--html", tmp_path / "out.html")

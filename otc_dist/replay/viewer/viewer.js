@@ -47,6 +47,8 @@ function format(value) {
   return value.toFixed(digits).replace("-", "−");
 }
 
+const choice = (action) => (scene && scene.choices[action]) || `choice ${action}`;
+
 const at = () => clamp(Math.floor(position + 1e-6), 0, count - 1);
 
 function mean(values, i) {
@@ -104,7 +106,7 @@ function showNow(i) {
       const end = place(action);
       fill.style.left = `${Math.min(zero, end)}%`;
       fill.style.width = `${Math.abs(end - zero)}%`;
-      value.textContent = agent.choices ? `choice ${action}` : format(action);
+      value.textContent = agent.choices ? choice(action) : format(action);
     }
   }
 }
@@ -215,12 +217,12 @@ const charts = [];
 const shared = rewards.every((reward, k) => reward === rewards[k - (k % team)]);
 const dashes = [[], [6, 3], [2, 3], [8, 3, 2, 3]];
 
-function chart(title, lines, fixed = null) {
+function chart(title, lines, fixed = null, say = format) {
   const canvas = document.createElement("canvas");
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", `${title} over the steps`);
   byId("plots").append(canvas);
-  charts.push({ title, lines, fixed, canvas });
+  charts.push({ title, lines, fixed, say, canvas });
 }
 
 function ofAgents(values) {
@@ -235,15 +237,16 @@ for (const [n, agent] of tape.agents.entries()) {
   const size = agent.low.length;
   const lines = agent.low.map((_, j) =>
     [size > 1 ? `[${j}]` : "", agent.colour, dashes[j % 4], (i) => actions[n][i * size + j]]);
-  const kind = agent.choices ? "choice" : "action";
-  chart(`${agent.name}: ${kind}`, lines, [Math.min(...agent.low), Math.max(...agent.high)]);
+  const fixed = [Math.min(...agent.low), Math.max(...agent.high)];
+  if (agent.choices) chart(`${agent.name}: choice`, lines, fixed, choice);
+  else chart(`${agent.name}: action`, lines, fixed);
 }
 
 const [LEFT, RIGHT, TOP, BOTTOM] = [64, 12, 22, 8];
 
 // What does not change with the cursor is drawn once, and then copied.
 function drawChart(chart) {
-  const { title, lines, canvas } = chart;
+  const { title, lines, say, canvas } = chart;
   const { context, width, height } = fit(canvas);
   const style = styles();
   const kept = [...shown, canvas.width, canvas.height, style.getPropertyValue("--line")].join();
@@ -267,7 +270,7 @@ function drawChart(chart) {
     context.moveTo(from, 11);
     context.lineTo(from + 20, 11);
     context.stroke();
-    const text = `${name} ${format(value(i))}`.trim();
+    const text = `${name} ${say(value(i))}`.trim();
     context.fillStyle = style.getPropertyValue("--muted");
     context.fillText(text, from + 25, 15);
     from += 43 + context.measureText(text).width;
