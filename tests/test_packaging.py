@@ -59,7 +59,7 @@ def test_the_wheel_installs_nothing_but_otc_dist(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"otc_dist"}
-    viewer = ("replay/viewer/page.html", "replay/viewer/style.css", "replay/viewer/viewer.js")
+    viewer = [f"replay/viewer/{part.name}" for part in (ROOT / "otc_dist/replay/viewer").iterdir()]
     layout = "replay/foxglove_layout.json"
     for needed in ("launch/3agent_hopper.toml", "envs/models/hopper.xml", layout, *viewer):
         assert f"otc_dist/{needed}" in names

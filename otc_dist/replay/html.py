@@ -15,6 +15,7 @@ from otc_dist.replay.output import claimed
 from otc_dist.replay.tape import Tape, selected_tape
 from otc_dist.scenes.scene import Scene, agent_colour
 
+_SCRIPTS = ("tape.js", "scene.js", "plots.js", "playback.js")  # in this order one program
 _SECONDS = 0.05  # a step, where no scene says how long it takes
 
 
@@ -40,7 +41,7 @@ def render(tape: Tape) -> str:
         title=escape(f"{header.run}, deployment {header.deployment}"),
         lead=escape(lead),
         style=_part("style.css"),
-        script=_part("viewer.js"),
+        script="\n".join(map(_part, _SCRIPTS)),
         # Within a script element nothing is unescaped, and "</script" would end it.
         tape=json.dumps(_packed(tape), separators=(",", ":")).replace("<", "\\u003c"),
     )

@@ -1,0 +1,111 @@
+"use strict";
+// The tape: arrays over T steps, as `otc_dist.replay.html` packed them, and the numbers beside the
+// scene. The other scripts follow behind it in the same page.
+
+const tape = JSON.parse(document.getElementById("tape").textContent);
+
+function unpack(packed, Kind) {
+  const bytes = Uint8Array.from(atob(packed), (letter) => letter.charCodeAt(0));
+  return new Kind(bytes.buffer);
+}
+
+const numbers = unpack(tape.numbers, Int32Array);
+const episodes = unpack(tape.episodes, Int32Array);
+const rewards = unpack(tape.rewards, Float32Array); // T x agents
+const returns = unpack(tape.returns, Float32Array);
+const actions = tape.agents.map((agent) => unpack(agent.actions, Float32Array));
+const exploring = unpack(tape.exploring, Uint8Array);
+const scene = tape.scene;
+const poses = scene && unpack(scene.poses, Float32Array); // T x bodies x (u, v, angle)
+const levels = scene && unpack(scene.levels, Float32Array); // T x bodies
+const count = numbers.length;
+const team = tape.agents.length;
+
+const starts = []; // the steps at which episodes begin, as places on the tape
+for (let i = 0; i < count; i++) {
+  if (i === 0 || episodes[i] !== episodes[i - 1] || numbers[i] !== numbers[i - 1] + 1) {
+    starts.push(i);
+  }
+}
+
+const begins = new Set(starts);
+
+const byId = (id) => document.getElementById(id);
+const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+const styles = () => getComputedStyle(document.documentElement);
+
+let position = 0; // on the tape; between two steps while it plays
+let playing = false;
+let speed = 1; // of the task's own time
+let shown = [0, Math.max(count - 1, 1)]; // what the plots show of the tape
+
+function format(value) {
+  if (!Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  const digits = size >= 1000 || size === 0 ? 0 : size >= 100 ? 1 : size >= 1 ? 2 : 3;
+  return value.toFixed(digits).replace("-", "−");
+}
+
+const choice = (action) => (scene && scene.choices[action]) || `choice ${action}`;
+
+const at = () => clamp(Math.floor(position + 1e-6), 0, count - 1);
+
+function mean(values, i) {
+  let sum = 0;
+  for (let n = 0; n < team; n++) sum += values[i * team + n];
+  return sum / team;
+}
+
+const bars = [];
+for (const [n, agent] of tape.agents.entries()) {
+  const box = document.createElement("div");
+  box.className = "agent";
+  const heading = document.createElement("h2");
+  const name = document.createElement("span");
+  const dot = document.createElement("span");
+  dot.className = "dot";
+  dot.style.background = colour(agent.colour);
+  name.append(dot, agent.name);
+  const reward = document.createElement("i");
+  heading.append(name, reward);
+  box.append(heading);
+  const rows = [];
+  for (let j = 0; j < agent.low.length; j++) {
+    const row = document.createElement("div");
+    row.className = "action";
+    const bar = document.createElement("div");
+    bar.className = "bar";
+    const fill = document.createElement("b");
+    fill.style.background = colour(agent.colour);
+    bar.append(fill);
+    const value = document.createElement("span");
+    value.className = "value";
+    row.append(bar, value);
+    box.append(row);
+    rows.push({ fill, value });
+  }
+  byId("agents").append(box);
+  bars.push({ reward, rows, n });
+}
+
+function showNow(i) {
+  byId("step").textContent = String(numbers[i]);
+  byId("episode").textContent = String(episodes[i]);
+  byId("reward").textContent = format(mean(rewards, i));
+  byId("return").textContent = format(mean(returns, i));
+  for (const { reward, rows, n } of bars) {
+    const agent = tape.agents[n];
+    reward.textContent =
+      `reward ${format(rewards[i * team + n])}` + (exploring[i * team + n] ? ", exploring" : "");
+    for (const [j, { fill, value }] of rows.entries()) {
+      const action = actions[n][i * rows.length + j];
+      const [low, high] = [agent.low[j], agent.high[j]];
+      const place = (x) => (100 * (clamp(x, low, high) - low)) / (high - low || 1);
+      const zero = agent.choices ? 0 : place(0);
+      const end = place(action);
+      fill.style.left = `${Math.min(zero, end)}%`;
+      fill.style.width = `${Math.abs(end - zero)}%`;
+      value.textContent = agent.choices ? choice(action) : format(action);
+    }
+  }
+}
