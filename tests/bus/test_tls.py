@@ -5,6 +5,7 @@ import socket
 import stat
 import time
 from collections.abc import Callable, Iterator
+from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,14 @@ def _files(folder: Path, process: str, authority: Path | None = None) -> Identit
     """An identity that nobody has checked."""
     own = folder / process
     return Identity((authority or own) / AUTHORITY, own / CERTIFICATE, own / KEY)
+
+
+class _LastYear(datetime):
+    """A clock that is wrong."""
+
+    @classmethod
+    def now(cls, tz: tzinfo | None = None) -> datetime:
+        return datetime.now(tz) - timedelta(days=365)
 
 
 def _refusal(attempt: Callable[[], object]) -> str:
@@ -122,6 +131,10 @@ def test_another_authority_is_refused_by_both_sides(
 def test_an_expired_certificate_is_refused_by_both_sides(
     listening: str, ours: Path, expired: Path
 ) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("otc_dist.bus.identity.datetime", _LastYear)
+        early = _refusal(lambda: door(listening, "agent_1", ours, insecure=False))
+    assert "on: is this machine's clock right?" in early
     assert "expired on" in _refusal(lambda: door(listening, "agent_1", expired, insecure=False))
     late = Door(listening, _files(expired, "agent_1"))
     message = _refusal(lambda: Session.connect(late, QUICK_PAYLOAD, PATIENCE))

@@ -8,6 +8,7 @@ import pytest
 from otc_dist import certs
 from otc_dist.errors import UserError
 from otc_dist.launch.__main__ import main
+from otc_dist.launch.plan import Plan
 from otc_dist.launch.run_record import RunRecord
 from otc_dist.run_folder import RunFolder
 
@@ -176,7 +177,13 @@ def test_the_same_command_goes_on_with_a_part_of_a_run(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And may have moved to another address meanwhile."""
-    monkeypatch.setattr("otc_dist.launch.run_command.conduct", lambda plan, record: 0)
+    conducted: list[Plan] = []
+
+    def conduct(plan: Plan, record: RunRecord) -> int:
+        conducted.append(plan)
+        return 0
+
+    monkeypatch.setattr("otc_dist.launch.run_command.conduct", conduct)
     out = ("--certs", "certs", "--out", "run")
     assert main([*RUN, *LEARNER, *out]) == 0
     before = RunRecord.read(RunFolder(folder / "run"))
@@ -193,6 +200,8 @@ def test_the_same_command_goes_on_with_a_part_of_a_run(
         1,
         "tls/192.0.2.7:7447",
     )
+    assert main(["--resume", "run"]) == 0
+    assert conducted[2].processes == conducted[1].processes != conducted[0].processes
     for other in (["--agent", "agent_2"], ["--seed", "5"]):
         with pytest.raises(UserError, match="is of another run, or of another part"):
             main([*RUN, *LEARNER, *out, *other])
