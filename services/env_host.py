@@ -18,6 +18,7 @@ from otc_dist.bus.handshake import offer
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.lockstep import HostLockstep
 from otc_dist.bus.messages import Action, Moment, Observation, Phase, Status, StepOutcome
+from otc_dist.bus.presence import Presence
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
@@ -30,7 +31,6 @@ from otc_dist.transitions import Float32, JointStep
 
 from .history import history_of
 from .host_state import HostState, write_atomically
-from .presence import Presence
 from .process import FailureError, Run, door_at, parser, patience, serve
 from .resimulation import resimulate
 
@@ -186,7 +186,7 @@ class EnvHost:
         """Ask all agents; in a deployment's last question nobody acts any more."""
         moment = Moment(phase, k, self._state.epoch, step)
         questions = [
-            Observation(moment, seen, _outcome(last, index) if last else None)
+            Observation(moment, seen, StepOutcome.of(last, index) if last else None)
             for index, seen in enumerate(observations)
         ]
         acting = phase == "evaluation" or step < self._schedule.steps
@@ -226,12 +226,6 @@ class EnvHost:
 
 def _actions(answers: Sequence[Action]) -> list[Float32]:
     return [answer.actions for answer in answers if answer.actions is not None]
-
-
-def _outcome(step: JointStep, index: int) -> StepOutcome:
-    return StepOutcome(
-        step.rewards[index], step.next_observations[index], step.terminated, step.truncated
-    )
 
 
 @contextmanager

@@ -6,7 +6,7 @@ Questions and answers are made into bytes by `codec`.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 from otc_dist.bus.wire import (
     PROTOCOL_VERSION,
@@ -17,7 +17,7 @@ from otc_dist.bus.wire import (
     pack,
     unpack,
 )
-from otc_dist.transitions import Bool, Float32
+from otc_dist.transitions import Bool, Float32, JointStep
 
 Phase = Literal["deployment", "evaluation", "done"]
 PHASES: Mapping[Phase, int] = {"deployment": 0, "evaluation": 1, "done": 2}
@@ -54,6 +54,12 @@ class StepOutcome(NamedTuple):
     next_observations: Float32  # (E, observation_size)
     terminated: Bool  # (E,)
     truncated: Bool  # (E,)
+
+    @classmethod
+    def of(cls, step: JointStep, index: int) -> Self:
+        """What `step` brought agent number `index`."""
+        successors = step.next_observations[index]
+        return cls(step.rewards[index], successors, step.terminated, step.truncated)
 
 
 class Observation(NamedTuple):

@@ -4,11 +4,9 @@ Learners and observers see what they saw then: the host's liveliness token and s
 questions with observations and outcomes, and its answers to queries for the spec and for history.
 """
 
-import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from types import TracebackType
 from typing import Self
 
@@ -18,7 +16,8 @@ from otc_dist.bus.handshake import offer
 from otc_dist.bus.history import Read, history_reply
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.lockstep import HostLockstep
-from otc_dist.bus.messages import Action, Moment, Observation, Status, StepOutcome
+from otc_dist.bus.messages import Action, Moment, Observation, Phase, Status, StepOutcome
+from otc_dist.bus.presence import Presence
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
@@ -42,7 +41,7 @@ class LogHost:
     Args:
         session: the centre of the bus.
         header: of any of the logs.
-        agents: places in the team of those to publish for.
+        indices: places in the team of the agents to publish for.
         read: agent -> what reads its transitions for a learner that asks for its past.
     """
 
@@ -51,29 +50,26 @@ class LogHost:
         session: Session,
         header: LogHeader,
         description: Description,
-        agents: Sequence[int],
+        indices: Sequence[int],
         read: Callable[[str], Read],
     ) -> None:
-        self._session, self._indices = session, agents
-        self._agents = [header.team.agents[index] for index in agents]
-        self._names = [agent.name for agent in self._agents]
-        self._deadline = description.bus.answer_deadline
-        self._keys, self._copies = Keys(header.run), copies_by_phase(description)
+        self.session, self.indices = session, indices
+        self.agents = [header.team.agents[index] for index in indices]
+        self.names = [agent.name for agent in self.agents]
+        self.deadline = description.bus.answer_deadline
+        self.keys, self.copies = Keys(header.run), copies_by_phase(description)
+        self.rejections = Rejections()
         # Later than those of any host of this run before: learners reject what is earlier.
         self._epoch = int(time.time())
-        self._rejections = Rejections()
         self._status = Status(HOST)
-        self._heartbeat = Heartbeat(
-            session, self._keys, HOST, self._rejections, lambda: self._status
-        )
+        self._heartbeat = Heartbeat(session, self.keys, HOST, self.rejections, lambda: self._status)
         longest = longest_message(description, header.team)
-        for agent in self._agents:
-            reply = history_reply(
-                self._keys, agent, description, longest, read(agent.name), self._rejections
-            )
-            session.answer(self._keys.history(agent.name), reply)
-        offer(session, self._keys, run_spec(description, header.team))
-        session.declare_alive(self._keys.alive(HOST))
+        for agent in self.agents:
+            pages = read(agent.name)
+            reply = history_reply(self.keys, agent, description, longest, pages, self.rejections)
+            session.answer(self.keys.history(agent.name), reply)
+        offer(session, self.keys, run_spec(description, header.team))
+        session.declare_alive(self.keys.alive(HOST))
 
     def __enter__(self) -> Self:
         self._heartbeat.__enter__()
@@ -87,77 +83,62 @@ class LogHost:
     ) -> None:
         self._heartbeat.__exit__()
 
-    def _enter(self, phase: str, deployment: int, total: int) -> None:
+    def enter(self, phase: Phase, deployment: int, total: int) -> None:
+        """Say what comes now."""
         self._status = Status(HOST, phase, deployment, 0, total)
         self._heartbeat.publish()
 
-    def _moment(self, deployment: int, step: int) -> Moment:
+    def moment(self, phase: Phase, deployment: int, step: int) -> Moment:
         """Of a question now; the status tells of it."""
         self._status = replace(self._status, update=step)
-        return Moment("deployment", deployment, self._epoch, step)
+        return Moment(phase, deployment, self._epoch, step)
 
 
-class Teller(LogHost):
+class Teller:
     """Publishes what was asked and what was answered, and waits for nobody."""
 
-    def __init__(
-        self,
-        session: Session,
-        header: LogHeader,
-        description: Description,
-        agents: Sequence[int],
-        read: Callable[[str], Read],
-    ) -> None:
-        super().__init__(session, header, description, agents, read)
-        self._codecs = [AgentCodec(header.run, agent, self._copies) for agent in self._agents]
-        self._ask = [session.publisher(self._keys.observation(name)) for name in self._names]
-        self._act = [session.publisher(self._keys.action(name)) for name in self._names]
+    def __init__(self, host: LogHost) -> None:
+        self._host = host
+        session, keys, run = host.session, host.keys, host.keys.run
+        self._codecs = [AgentCodec(run, agent, host.copies) for agent in host.agents]
+        self._ask = [session.publisher(keys.observation(name)) for name in host.names]
+        self._act = [session.publisher(keys.action(name)) for name in host.names]
 
     def tell(
         self, deployment: int, total: int, steps: Iterable[JointStep], policies: Mapping[str, str]
     ) -> None:
         """Publish each step's questions and answers, of all agents."""
-        self._enter("deployment", deployment, total)
+        host = self._host
+        host.enter("deployment", deployment, total)
         before: JointStep | None = None
         for step in steps:
-            moment = self._moment(deployment, step.step)
+            moment = host.moment("deployment", deployment, step.step)
             # A question tells the outcome of the step before it; behind a gap there is none.
             known = step.step == 0 or (before is not None and before.step == step.step - 1)
-            for place, index in enumerate(self._indices):
+            for place, index in enumerate(host.indices):
                 codec = self._codecs[place]
                 if known:
                     question = _question(moment, index, step, before)
                     self._ask[place](codec.encode_observation(question))
-                policy = policies.get(self._names[place], UNKNOWN_POLICY)
+                policy = policies.get(host.names[place], UNKNOWN_POLICY)
                 action = Action(moment, step.actions[index], policy)
                 self._act[place](codec.encode_action(action))
             before = step
 
 
-class Asker(LogHost):
+class Asker:
     """Asks the agents' learners what the log was asked, and holds them to its answers."""
 
-    def __init__(
-        self,
-        session: Session,
-        header: LogHeader,
-        description: Description,
-        agents: Sequence[int],
-        read: Callable[[str], Read],
-    ) -> None:
-        super().__init__(session, header, description, agents, read)
+    def __init__(self, host: LogHost) -> None:
+        self._host = host
         self._lockstep = HostLockstep(
-            session, self._keys, self._agents, self._copies, self._deadline, self._rejections
+            host.session, host.keys, host.agents, host.copies, host.deadline, host.rejections
         )
-        self._present: set[str] = set()
-        self._changed = threading.Condition()
-        for name in self._names:
-            session.watch_alive(self._keys.alive(name), partial(self._note, name))
+        self._presence = Presence(host.session, host.keys, host.names)
 
-    def _note(self, name: str, alive: bool) -> None:
-        with self._changed:
-            (self._present.add if alive else self._present.discard)(name)
-            self._changed.notify_all()
+    def wait_for_learners(self) -> None:
+        """Return when all have come. Raises GaveUpError."""
+        self._presence.wait_for_all(self._host.deadline)
 
     def ask(
         self, deployment: int, total: int, steps: Iterable[JointStep], policies: Mapping[str, str]
@@ -168,42 +149,37 @@ class Asker(LogHost):
             OtherActionError: a learner answers otherwise than the log.
             GaveUpError: one shows no sign of life for as long as the run's description allows.
         """
-        self._enter("deployment", deployment, total)
+        host = self._host
+        host.enter("deployment", deployment, total)
         last: JointStep | None = None
         for step in steps:
-            moment = self._moment(deployment, step.step)
-            questions = [_question(moment, index, step, last) for index in self._indices]
+            moment = host.moment("deployment", deployment, step.step)
+            questions = [_question(moment, index, step, last) for index in host.indices]
             answers = self._lockstep.ask(questions, acting=True)
-            for name, index, answer in zip(self._names, self._indices, answers, strict=True):
+            for name, index, answer in zip(host.names, host.indices, answers, strict=True):
                 _check(name, answer, step, index, policies[name])
             last = step
         if last is not None:
-            moment = self._moment(deployment, last.step + 1)
+            moment = host.moment("deployment", deployment, last.step + 1)
             questions = [
                 # What it would see next does not matter: nobody acts on it.
-                Observation(moment, last.next_observations[index], _outcome(last, index))
-                for index in self._indices
+                Observation(moment, last.next_observations[index], StepOutcome.of(last, index))
+                for index in host.indices
             ]
             self._lockstep.ask(questions, acting=False)
 
     def end(self, deployment: int) -> None:
         """Wait until the learners hold pi_k, and let them go. Raises GaveUpError."""
-        moment = Moment("done", deployment, self._epoch, 0)
-        self._lockstep.ask([Observation(moment, None, None)] * len(self._agents), acting=False)
-        self._enter("done", deployment, 0)
-        with self._changed:
-            self._changed.wait_for(lambda: not self._present, timeout=_FAREWELL)
+        moment = self._host.moment("done", deployment, 0)
+        nothing = [Observation(moment, None, None)] * len(self._host.agents)
+        self._lockstep.ask(nothing, acting=False)
+        self._host.enter("done", deployment, 0)
+        self._presence.wait_for_none(_FAREWELL)
 
 
 def _question(moment: Moment, index: int, step: JointStep, before: JointStep | None) -> Observation:
-    outcome = None if before is None or step.step == 0 else _outcome(before, index)
+    outcome = None if before is None or step.step == 0 else StepOutcome.of(before, index)
     return Observation(moment, step.observations[index], outcome)
-
-
-def _outcome(step: JointStep, index: int) -> StepOutcome:
-    return StepOutcome(
-        step.rewards[index], step.next_observations[index], step.terminated, step.truncated
-    )
 
 
 def _check(name: str, answer: Action, step: JointStep, index: int, policy: str) -> None:

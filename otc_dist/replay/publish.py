@@ -15,6 +15,7 @@ from pathlib import Path
 from otc_dist.bus.agreement import longest_message
 from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
 from otc_dist.bus.history import Read
+from otc_dist.bus.keys import HOST
 from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.session import Session
 from otc_dist.deployment_log.header import LogHeader
@@ -30,7 +31,7 @@ from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.exploration import Schedule
 from otc_dist.progress import shown
-from otc_dist.replay.log_host import Asker, OtherActionError, Teller
+from otc_dist.replay.log_host import Asker, LogHost, OtherActionError, Teller
 from otc_dist.replay.selection import Selection, select
 from otc_dist.run_folder import RunFolder
 from otc_dist.transitions import JointStep, Transitions
@@ -63,35 +64,36 @@ def run(arguments: argparse.Namespace) -> int:
         _prepare_learners(arguments, parts, description, logs)
     indices = parts[0][1].indices(first.team.names)
     with _centre(root, longest_message(description, first.team)) as session:
+        host = LogHost(session, first, description, indices, logs.of_agent)
         try:
             if arguments.learners:
-                asker = Asker(session, first, description, indices, logs.of_agent)
-                _ask(arguments, asker, parts)
+                _ask(arguments, host, parts)
             else:
-                teller = Teller(session, first, description, indices, logs.of_agent)
-                _wait_for_somebody(session, root, description.bus.answer_deadline)
-                _tell(arguments, teller, parts)
+                _tell(arguments, host, parts)
         except (GaveUpError, OtherActionError) as error:
             print(f"error: {error}", file=sys.stderr)
             return 1
     return 0
 
 
-def _tell(arguments: argparse.Namespace, teller: Teller, parts: list[_Part]) -> None:
-    with teller:
+def _tell(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -> None:
+    teller = Teller(host)
+    _wait_for_somebody(host)
+    with host:
         for summary, selection in parts:
             steps = _steps(summary, selection, arguments.rate or 1.0)
             teller.tell(summary.header.deployment, summary.end, steps, summary.policies)
 
 
-def _ask(arguments: argparse.Namespace, asker: Asker, parts: list[_Part]) -> None:
-    names = parts[0][1].agents
+def _ask(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -> None:
     print(
-        f"asking {', '.join(names)}; each is started by"
+        f"waiting for the learners of {', '.join(host.names)}; each is started by"
         f" python -m otc_dist.services.learner --run {arguments.run} --agent NAME",
         file=sys.stderr,
     )
-    with asker:
+    asker = Asker(host)
+    with host:
+        asker.wait_for_learners()
         for summary, selection in parts:
             steps = _steps(summary, selection, arguments.rate)
             asker.ask(summary.header.deployment, summary.end, steps, summary.policies)
@@ -188,11 +190,11 @@ def _centre(root: Path, maximum_payload: int) -> Iterator[Session]:
         remove_local_endpoint(endpoint)
 
 
-def _wait_for_somebody(session: Session, root: Path, deadline: float) -> None:
+def _wait_for_somebody(host: LogHost) -> None:
     """Wait until somebody subscribes: what is published before is lost."""
-    print(f"waiting for somebody to listen on the bus of {root}", file=sys.stderr)
-    end = time.monotonic() + deadline
-    while not session.heard:
+    print(f"waiting for somebody to listen to {host.keys.status(HOST)} or others", file=sys.stderr)
+    end = time.monotonic() + host.deadline
+    while not host.session.heard:
         if time.monotonic() > end:
-            raise UserError(f"nobody listened on the bus of {root} for {deadline:g} s")
+            raise UserError(f"nobody listened for {host.deadline:g} s")
         time.sleep(_LOOK)
