@@ -5,7 +5,7 @@
 The log is written by the real writer, with 3-agent Hopper's sizes, four copies and random numbers;
 episodes end at random, after 100 steps on average. Each export is the command in a process of its
 own, which writes a data set for each agent and, where the format allows, the joint one. The memory
-of a tenth of the transitions stands beside that of all: it does not grow with the log. An export
+of a quarter of the transitions stands beside that of all: it does not grow with the log. An export
 ends with its files forced to the disk; the processor's seconds say what remains on a faster one.
 """
 
@@ -30,7 +30,7 @@ from otc_dist.transitions import JointStep
 
 ENV, COPIES = "hopper-3x1", 4
 SECONDS = 60.0  # at most, for a million transitions
-GROWTH = 1.25  # at most: memory for all by memory for a tenth
+GROWTH = 1.25  # at most: memory for all by memory for a quarter
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,9 @@ def main(argv: list[str]) -> int:
     with tempfile.TemporaryDirectory(prefix="export", dir=".") as name:
         log = record(Path(name) / "log.mcap", arguments.transitions)
         print(f"{arguments.transitions:,} transitions, {log.stat().st_size / 1e6:,.0f} MB of log")
-        print(f"{'':8} {'s':>6} {'cpu s':>6} {'disk MB':>8} {'peak MB':>8} {'of 1/10':>8}")
+        print(f"{'':8} {'s':>6} {'cpu s':>6} {'disk MB':>8} {'peak MB':>8} {'of 1/4':>8}")
         for form in arguments.only.split(","):
-            some = export(log, form, arguments.transitions // COPIES // 10)
+            some = export(log, form, arguments.transitions // COPIES // 4)
             cost = export(log, form, arguments.transitions // COPIES)
             met = cost.seconds <= limit and cost.memory <= GROWTH * some.memory
             print(
