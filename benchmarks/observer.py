@@ -11,28 +11,35 @@ as a stranger's would be:
     reading  for comparison: it takes everything, which costs processor time of the same machine
 
 Prints the ratio of the times a lock-step, median and range over the rounds, and the longest single
-step in any round. At most 1.05 is allowed for those that do not read.
+step in any round. At most 1.05 is allowed for those that do not read. That needs a machine with
+little else to do. `--puts` needs none: how long it takes to publish 20,000 messages while such an
+observer is there, and how often the publishing thread had to wait (voluntary context switches).
 """
 
 import argparse
 import multiprocessing as mp
 import os
+import resource
 import signal
 import statistics
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 from lockstep import Step, ours
 
-from otc_dist.bus.endpoints import local_endpoint
+from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
+from otc_dist.bus.links import QUICK_PAYLOAD
+from otc_dist.bus.session import Session
 
 LIMIT = 1.05
+MESSAGE, PUTS = bytes(300), 20_000
 KINDS = ("deaf", "frozen", "reading")
 
 
@@ -59,7 +66,7 @@ def observe(endpoint: str, kind: str, ready: Connection) -> None:
 
 
 @contextmanager
-def observer(endpoint: str, kind: str, step: "Counter") -> Iterator[None]:
+def observer(endpoint: str, kind: str, step: Callable[[], None]) -> Iterator[None]:
     """An observer that has been heard to hear: lock-steps go on until it does."""
     context = mp.get_context("spawn")
     ours_end, theirs = context.Pipe()
@@ -98,11 +105,43 @@ class Counter:
         return (before - start) / steps, longest
 
 
+def puts() -> None:
+    """Print how long `put` takes with each observer."""
+    with tempfile.TemporaryDirectory(prefix="observer") as name:
+        endpoint = local_endpoint(Path(name))
+        with Session.listen([Door(endpoint)], QUICK_PAYLOAD) as session:
+            put = session.publisher("otc/run/agent_0/observation")
+            for kind in ("none", *KINDS):
+                with ExitStack() as watched:
+                    if kind != "none":
+                        say = partial(put, MESSAGE)
+                        watched.enter_context(observer(endpoint, kind, say))
+                    before = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
+                    times = sorted(_timed(put) for _ in range(PUTS))
+                    waits = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw - before
+                most = 1e6 * times[99 * PUTS // 100]
+                print(
+                    f"{kind:8} put: median {1e6 * times[PUTS // 2]:.1f} us,"
+                    f" 99 of 100 within {most:.1f} us; waited {waits} times"
+                )
+        remove_local_endpoint(endpoint)
+
+
+def _timed(put: Callable[[bytes], None]) -> float:
+    start = time.perf_counter()
+    put(MESSAGE)
+    return time.perf_counter() - start
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--steps", type=int, default=2000, help="lock-steps a measurement")
+    parser.add_argument("--puts", action="store_true", help="time what is published, no lock-steps")
     arguments = parser.parse_args()
+    if arguments.puts:
+        puts()
+        return 0
     ratios: dict[str, list[float]] = {kind: [] for kind in KINDS}
     longest: dict[str, float] = dict.fromkeys(("none", *KINDS), 0.0)
     alone: list[float] = []
