@@ -119,7 +119,8 @@ def health(life: Life | None, clock: float) -> str:
 
 def _progress_line(board: Board) -> str:
     told = [
-        f"{status.process} {place(status)} {status.update:,}/{status.total:,}"
+        f"{status.process} {place(status)}"
+        + (f" {status.update:,}/{status.total:,}" if status.total else "")
         + (f" ({status.rate:,.0f}/s)" if status.rate else "")
         for status in board.busy
     ]
