@@ -46,7 +46,8 @@ def _of_tls(door: Door, address: tuple[str, int]) -> str | None:
         ):
             tls.recv(1)  # a server looks at our certificate after we have looked at its
             return None
-    except TimeoutError:
+    except (TimeoutError, ConnectionError, ssl.SSLEOFError):
+        # Without TLS, or it is frozen, or has just died.
         return _not_tls(where) if _answers_without_tls(address) else None
     except ssl.SSLCertVerificationError as error:
         # OpenSSL's words: "certificate has expired", "self-signed certificate in certificate chain"
@@ -54,8 +55,6 @@ def _of_tls(door: Door, address: tuple[str, int]) -> str | None:
             f"the certificate of {where} is refused: {error.verify_message.strip().rstrip('.')};"
             " do both sides hold certificates of the same python -m otc_dist.certs?"
         )
-    except (ssl.SSLEOFError, ConnectionResetError):
-        return _not_tls(where)
     except ssl.SSLError as error:
         for alert, meaning in _ALERTS.items():
             if alert in (error.reason or ""):

@@ -3,8 +3,10 @@
 import shutil
 import socket
 import stat
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 
 from otc_dist import certs
 from otc_dist.bus.access import host_rules
+from otc_dist.bus.diagnosis import refusal
 from otc_dist.bus.endpoints import Door, door, local_endpoint
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from otc_dist.bus.keys import HOST, OBSERVER, Keys
@@ -170,6 +173,21 @@ def test_plaintext_is_refused_by_both_sides(listening: str, ours: Path) -> None:
     with Session.listen([Door(plain)], QUICK_PAYLOAD):
         message = _refusal(lambda: Session.connect(learner, QUICK_PAYLOAD, PATIENCE))
     assert "does not speak TLS: does it run with --insecure?" in message
+
+
+def test_a_host_that_dies_during_the_greeting_is_waited_for(ours: Path) -> None:
+    """It is no refusal, so that a supervisor may start it again meanwhile."""
+    with socket.create_server(("127.0.0.1", 0)) as dying:
+        endpoint = f"tls/127.0.0.1:{dying.getsockname()[1]}"
+
+        def hang_up() -> None:
+            with suppress(OSError):
+                while True:
+                    dying.accept()[0].close()
+
+        threading.Thread(target=hang_up, daemon=True).start()
+        assert refusal(door(endpoint, "agent_0", ours, insecure=False)) is None
+        dying.shutdown(socket.SHUT_RDWR)
 
 
 def test_a_learner_cannot_pose_as_the_env_host(ours: Path) -> None:
