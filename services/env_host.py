@@ -245,10 +245,11 @@ def _open(run: Run, arguments: argparse.Namespace) -> Session:
 
     Whatever the learners use, the launcher beside this process looks on through the local door.
     """
-    maximum, local = run.maximum_payload, run.local_door
+    maximum = run.maximum_payload
     if arguments.connect:
         router = door_at(arguments.connect, HOST, arguments)
         return Session.connect(router, maximum, patience(run, arguments))
+    local = run.local_door
     if not arguments.listen:
         return Session.listen([local], maximum)
     door = door_at(arguments.listen, HOST, arguments)

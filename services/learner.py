@@ -235,9 +235,8 @@ def main() -> None:
         if arguments.agent not in run.team.names:
             raise unknown("agent", arguments.agent, run.team.names)
         agent = run.team.agents[run.team.index(arguments.agent)]
-        door = run.local_door
-        if arguments.connect:
-            door = door_at(arguments.connect, agent.name, arguments)
+        there = arguments.connect
+        door = door_at(there, agent.name, arguments) if there else run.local_door
         deadline = patience(run, arguments)
         with Session.connect(door, run.maximum_payload, deadline) as session:
             rejections = Rejections()

@@ -15,7 +15,7 @@ import pytest
 from otc_dist import certs
 from otc_dist.bus.access import host_rules
 from otc_dist.bus.diagnosis import refusal
-from otc_dist.bus.endpoints import Door, door, local_endpoint
+from otc_dist.bus.endpoints import Door, door
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from otc_dist.bus.keys import HOST, OBSERVER, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
@@ -90,15 +90,13 @@ def test_who_holds_a_certificate_of_the_same_authority_is_let_in(
         Session.connect(door(listening, process, ours, insecure=False), QUICK_PAYLOAD).close()
 
 
-def test_the_launcher_looks_on_through_the_socket_of_its_machine(
-    ours: Path, tmp_path: Path
-) -> None:
+def test_the_launcher_looks_on_through_the_socket_of_its_machine(ours: Path, endpoint: str) -> None:
     keys = Keys("a-run")
-    endpoint, local = f"tls/127.0.0.1:{free_port()}", Door(local_endpoint(tmp_path))
-    doors = [door(endpoint, HOST, ours, insecure=False), local]
+    outside, local = f"tls/127.0.0.1:{free_port()}", Door(endpoint)
+    doors = [door(outside, HOST, ours, insecure=False), local]
     rules = host_rules(keys, AGENTS)
     heard: list[bytes] = []
-    learner = door(endpoint, "agent_1", ours, insecure=False)
+    learner = door(outside, "agent_1", ours, insecure=False)
     with (
         Session.listen(doors, QUICK_PAYLOAD, rules) as host,
         Session.connect(local, QUICK_PAYLOAD) as launcher,
