@@ -182,8 +182,8 @@ class ConditionalVae:
         self.adam = torch.optim.Adam(parameters, lr=self.rate)
 
     def fit_moments(self, s: Tensor, a: Tensor) -> None:
-        self.s_mean, self.s_std = s.mean(0), s.std(0) + 1e-3
-        self.a_mean, self.a_std = a.mean(0), a.std(0) + 1e-3
+        self.s_mean, self.s_std = s.mean(0), s.std(0, correction=0) + 1e-3
+        self.a_mean, self.a_std = a.mean(0), a.std(0, correction=0) + 1e-3
 
     def standardised(self, s: Tensor, a: Tensor, next_s: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         return (

@@ -32,7 +32,7 @@ def test_features_are_the_standardised_pair_and_change() -> None:
     changes.fit(rows)
     found = features(changes, rows)
     raw = np.concatenate([s, a, change], axis=1)
-    expected = (raw - raw.mean(0)) / (raw.std(0, ddof=1) + 1e-3)
+    expected = (raw - raw.mean(0)) / (raw.std(0, ddof=0) + 1e-3)
     np.testing.assert_allclose(found, expected, atol=2e-3)
     assert (changes.matched, changes.size) == (5, 8)
 

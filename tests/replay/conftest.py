@@ -9,8 +9,8 @@ from otc_dist.errors import UserError
 from otc_dist.replay.__main__ import main
 from tests.deployment_log.conftest import Recording
 
-from .deployments import Deployments
 from .played import play
+from .recorded import Deployments
 
 Replay = Callable[..., tuple[int, str]]
 

@@ -1,59 +1,88 @@
-"""Logs with their steps, and what an export of an agent has to hold."""
+"""Deployments of real environments and real brains, without a bus: for what reads their logs."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from otc_dist.deployment_log.header import LogHeader, versions
+from otc_dist.deployment_log.reader import read_header, read_steps
+from otc_dist.deployment_log.writer import LogWriter
+from otc_dist.description import Description
+from otc_dist.envs import registry
+from otc_dist.envs.rollout import Rollout
 from otc_dist.transitions import JointStep
 
-# Of one agent: observations, actions, rewards, next_observations, terminated, truncated, and
-# starts (of the trajectories), as far as a format has them.
-Arrays = dict[str, NDArray[Any]]
+FAMILIES = ("hopper-3x1", "predator-prey-3", "cooperative-navigation-4", "navigation", "5m_vs_6m")
 
 
-@dataclass
-class Deployments:
-    """Logs, and the steps of each."""
-
-    paths: list[Path]
-    steps: list[list[JointStep]]
-
-    def trajectories(self) -> list[list[tuple[int, int, JointStep]]]:
-        """(log, copy, step) of every trajectory, in the order of their ends."""
-        found = []
-        for log, steps in enumerate(self.steps):
-            copies = len(steps[0].terminated)
-            waiting: list[list[tuple[int, int, JointStep]]] = [[] for _ in range(copies)]
-            for step in steps:
-                for copy in range(copies):
-                    waiting[copy].append((log, copy, step))
-                    if step.terminated[copy] or step.truncated[copy]:
-                        found.append(waiting[copy])
-                        waiting[copy] = []
-            found += [part for part in waiting if part]
-        return found
-
-    def of_agent(self, index: int) -> Arrays:
-        """What an export of that agent has to hold."""
-        parts = self.trajectories()
-        rows = [row for part in parts for row in part]
-
-        def stacked(name: str) -> NDArray[Any]:
-            return np.array([getattr(step, name)[index][copy] for _, copy, step in rows])
-
-        return {
-            "observations": stacked("observations"),
-            "actions": stacked("actions"),
-            "rewards": stacked("rewards"),
-            "next_observations": stacked("next_observations"),
-            "terminated": np.array([step.terminated[copy] for _, copy, step in rows]),
-            "truncated": np.array([step.truncated[copy] for _, copy, step in rows]),
-            "exploring": np.array([step.exploring[index] for _, _, step in rows]),
-            "starts": np.cumsum([0, *(len(part) for part in parts[:-1])]),
-            "log": np.array([log for log, _, _ in rows]),
-            "copy": np.array([copy for _, copy, _ in rows]),
-            "step": np.array([step.step for _, _, step in rows]),
+def described(env_id: str, steps: int, copies: int) -> Description:
+    algorithm = {"name": "discrete-cql" if env_id == "5m_vs_6m" else "bcq"}
+    return Description.build(
+        {
+            "name": "replayed",
+            "env": {"id": env_id, "copies": copies},
+            "dataset": {"name": f"{env_id}/random"},
+            "algorithm": algorithm,
+            "sampling": {"name": "uniform"},
+            "deployment": {"transitions": steps * copies, "count": 2},
+            "engine": {"name": "eager"},
         }
+    )
+
+
+def header_of(description: Description, k: int, **fields: object) -> LogHeader:
+    header = LogHeader(
+        run="replayed-run",
+        deployment=k,
+        seed=description.seed,
+        description=description.to_toml(),
+        description_digest=description.digest(),
+        team=registry.team_spec(description.env.id),
+        copies=description.env.copies,
+    )
+    return replace(header, **fields)  # type: ignore[arg-type]
+
+
+def played(path: Path, env_id: str, steps: int = 120, copies: int = 2, k: int = 2) -> Path:
+    """The finished log of a deployment with random actions."""
+    description = described(env_id, steps, copies)
+    env = registry.make(env_id, copies, description.progress(k))
+    rollout = Rollout(env, description.seed, "deployment", k)
+    random = np.random.default_rng(0)
+    nobody = (False,) * len(env.spec.agents)
+    taken = []
+    for _ in range(steps):
+        actions = []
+        for agent, seen in zip(env.spec.agents, rollout.observations, strict=True):
+            low, high = np.array(agent.action_low), np.array(agent.action_high)
+            drawn = random.uniform(low, high, (copies, agent.action_size))
+            if agent.choices:
+                available = seen[:, -agent.choices :] * random.random((copies, agent.choices))
+                drawn = available.argmax(axis=1)[:, np.newaxis]
+            actions.append(drawn.astype(np.float32))
+        taken.append(rollout.advance(actions, nobody))
+    header = header_of(description, k, versions=versions() | dict(rollout.simulator))
+    env.close()
+    return logged(path, header, taken)
+
+
+def logged(
+    path: Path,
+    header: LogHeader,
+    steps: Iterable[JointStep],
+    policies: Mapping[str, str] | None = None,
+) -> Path:
+    """A finished log."""
+    writer = LogWriter.create(path, header)
+    for step in steps:
+        writer.write(step)
+    return writer.finish(policies or dict.fromkeys(header.team.names, "0" * 16))
+
+
+def retold(path: Path, out: Path, *changed: JointStep, **header: object) -> Path:
+    """The log again, with some steps and fields of its header exchanged."""
+    by_number = {step.step: step for step in changed}
+    steps = [by_number.get(step.step, step) for step in read_steps(path)]
+    return logged(out, replace(read_header(path), **header), steps)  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from .deployments import Arrays
+from .recorded import Arrays
 
 
 def read_d4rl(out: Path, agent: str) -> Arrays:

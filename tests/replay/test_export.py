@@ -19,9 +19,9 @@ from otc_dist.replay.selection import Selection
 from tests.deployment_log.conftest import Recording
 
 from .conftest import Replay
-from .deployments import Arrays, Deployments
 from .exported import READERS, column, minari_episodes, read_parquet
 from .played import play
+from .recorded import Arrays, Deployments
 
 FORMATS = tuple(READERS)
 AGENTS = ("agent_0", "agent_1", "agent_2")

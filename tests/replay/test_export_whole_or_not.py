@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from .conftest import Replay
-from .deployments import Deployments
 from .played import play
+from .recorded import Deployments
 
 
 def test_an_export_that_exists_is_replaced_only_by_force_and_nothing_else_ever(
