@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal, Self
 
-from otc_dist import __version__
+from otc_dist import __version__, durable
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
@@ -45,9 +45,7 @@ class RunRecord:
 
     def write(self, folder: RunFolder) -> None:
         """Replace run.json in one step."""
-        partial = folder.run_json.with_suffix(".json.partial")
-        partial.write_text(json.dumps(asdict(self), indent=2) + "\n", encoding="utf-8")
-        partial.replace(folder.run_json)
+        durable.write(folder.run_json, (json.dumps(asdict(self), indent=2) + "\n").encode())
 
     def moved_to(self, state: State, folder: RunFolder) -> Self:
         """The record with another state, written."""

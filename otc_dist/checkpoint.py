@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from otc_dist import durable
 from otc_dist.errors import UserError
 
 FORMAT = 1
@@ -71,16 +71,9 @@ def write(path: Path, arrays: Mapping[str, NDArray[np.generic]], progressed: Pro
     about = {"format": FORMAT, **asdict(progressed)}
     about["digest"] = _seal(arrays, about)
     content = save(dict(arrays), metadata={"otc_dist": json.dumps(about)})
-    unfinished = path.with_name(path.name + ".partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with unfinished.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
+        durable.write(path, content)
     except OSError as error:
-        unfinished.unlink(missing_ok=True)
         raise UserError(f"cannot write the checkpoint {path}: {error.strerror}") from None
 
 

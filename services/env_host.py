@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from otc_dist import durable
 from otc_dist.bus.access import host_rules
 from otc_dist.bus.endpoints import remove_local_endpoint
 from otc_dist.bus.handshake import offer
@@ -30,7 +31,7 @@ from otc_dist.envs.rollout import Rollout
 from otc_dist.transitions import Float32, JointStep
 
 from .history import history_of
-from .host_state import HostState, write_atomically
+from .host_state import HostState
 from .process import FailureError, Run, door_at, parser, patience, serve
 from .resimulation import resimulate
 
@@ -116,7 +117,7 @@ class EnvHost:
             "normalised_score": registry.normalised_score(env_id, mean),
         }
         with _recording(path, "the evaluation is played again"):
-            write_atomically(path, json.dumps(result, indent=1) + "\n")
+            durable.write(path, (json.dumps(result, indent=1) + "\n").encode())
         self._metrics = {"return": mean}
         if rollout.successes is not None:
             self._metrics["success"] = 100 * sum(rollout.successes) / episodes

@@ -1,12 +1,12 @@
 """The little that the env host must remember besides the log, to go on after a crash."""
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
+from otc_dist import durable
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
@@ -52,23 +52,8 @@ class HostState:
         return state
 
     def _write(self, folder: RunFolder) -> None:
-        write_atomically(_path(folder), json.dumps(asdict(self)) + "\n")
+        durable.write(_path(folder), (json.dumps(asdict(self)) + "\n").encode())
 
 
 def _path(folder: RunFolder) -> Path:
     return folder.root / "deployments" / "host.json"
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file so that it is either there, whole and durable, or not there. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".new")
-    try:
-        with temporary.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    temporary.replace(path)

@@ -1,14 +1,13 @@
 """Raw scores: one JSON file a run (seed, arm), and where everything of a comparison lies."""
 
 import json
-import os
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from math import isfinite
 from pathlib import Path
 from typing import Any, Self
 
+from otc_dist import durable
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
@@ -119,17 +118,9 @@ class ComparisonFolder:
 
 def write_json(path: Path, fields: Mapping[str, Any]) -> None:
     """Replace `path` in one step; null stands for NaN. Raises UserError if it cannot be written."""
-    unfinished = path.with_name(path.name + ".partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with unfinished.open("w", encoding="utf-8") as file:
-            file.write(json.dumps(_without_nan(fields), indent=1) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
+        durable.write(path, (json.dumps(_without_nan(fields), indent=1) + "\n").encode())
     except OSError as error:
-        with suppress(OSError):
-            unfinished.unlink()
         raise UserError(f"cannot write {path}: {error.strerror}") from None
 
 

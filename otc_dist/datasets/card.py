@@ -48,6 +48,16 @@ class AgentFile(_Record):
     observation_size: int
     action_size: int
 
+    @classmethod
+    def of(cls, path: Path, observation_size: int, action_size: int) -> Self:
+        """The record of a file that is there. Raises OSError if it cannot be read."""
+        return cls(
+            bytes=path.stat().st_size,
+            sha256=file_sha256(path),
+            observation_size=observation_size,
+            action_size=action_size,
+        )
+
 
 class DatasetCard(_Record):
     """What a data set says of itself. Without a clock: equal data give an equal card."""

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from otc_dist.datasets.agent_files import read_file
-from otc_dist.datasets.card import FILE_NAME, AgentFile, DatasetCard, file_sha256
+from otc_dist.datasets.card import FILE_NAME, AgentFile, DatasetCard
 from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.writing import add_file, locked
 from otc_dist.errors import UserError
@@ -30,12 +30,7 @@ def import_agent_file(source: Path) -> DatasetCard:
     if name.source:
         make = f"make {name} --transitions {header.transitions} --agent {header.agent}"
         raise UserError(f"{source} can be made here alike: python -m otc_dist.datasets {make}")
-    own = AgentFile(
-        bytes=source.stat().st_size,
-        sha256=file_sha256(source),
-        observation_size=header.observation_size,
-        action_size=header.action_size,
-    )
+    own = AgentFile.of(source, header.observation_size, header.action_size)
     card = DatasetCard(
         name=str(name),
         env_id=header.env_id,

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 import otc_dist
+from otc_dist import durable
 from otc_dist.datasets.agent_files import FORMAT_VERSION, Header, encode
 from otc_dist.datasets.card import (
     FILE_NAME,
     AgentFile,
     DatasetCard,
     Summary,
-    file_sha256,
     normalised_scores,
 )
 from otc_dist.datasets.joint import JointTransitions
@@ -103,7 +103,7 @@ def publish(
                 folder.rename(staging / "replaced")
             staging.rename(folder)
             shutil.rmtree(folder / "replaced", ignore_errors=True)
-            _sync_folder(folder.parent)
+            durable.sync(folder.parent)
         except BaseException:
             shutil.rmtree(staging, ignore_errors=True)
             raise
@@ -130,12 +130,7 @@ def _write(
         )
         path = folder / f"{agent.name}.safetensors"
         _write_file(path, encode(header, data.of_agent(index), data.episodes))
-        files[agent.name] = AgentFile(
-            bytes=path.stat().st_size,
-            sha256=file_sha256(path),
-            observation_size=agent.observation_size,
-            action_size=agent.action_size,
-        )
+        files[agent.name] = AgentFile.of(path, agent.observation_size, agent.action_size)
     card = DatasetCard(
         name=str(name),
         env_id=name.env_id,
@@ -163,11 +158,7 @@ def add_file(path: Path, content: bytes) -> None:
         UserError: the disk is full or cannot be written.
     """
     with _disk_errors(path.parent):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".partial")
-        _write_file(partial, content)
-        partial.replace(path)
-        _sync_folder(path.parent)
+        durable.write(path, content)
 
 
 def _write_file(path: Path, content: bytes) -> None:
@@ -175,14 +166,6 @@ def _write_file(path: Path, content: bytes) -> None:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import mcap
 from mcap.writer import CompressionType, Writer
 
 import otc_dist
+from otc_dist import durable
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.episodes import find_episodes, to_json
 from otc_dist.deployment_log.format import DamagedLogError, seal
@@ -63,7 +64,7 @@ def write_finished(
         temporary.unlink(missing_ok=True)
         raise
     temporary.rename(path)
-    sync_folder(path.parent)
+    durable.sync(path.parent)
 
 
 def _write(writer: Writer, blocks: Iterable[Rows], ranges: list[list[int]]) -> Iterator[Rows]:
@@ -112,12 +113,3 @@ def begin(writer: Writer, header: LogHeader) -> None:
     channel = writer.register_channel(fmt.TOPIC, "msgpack", schema, metadata=entries)
     if channel != CHANNEL_ID:
         raise RuntimeError(f"the channel's id is {channel}, not {CHANNEL_ID}")
-
-
-def sync_folder(folder: Path) -> None:
-    """Make a rename in `folder` durable."""
-    file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)

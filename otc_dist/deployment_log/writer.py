@@ -10,7 +10,8 @@ from pathlib import Path
 
 from mcap.writer import Writer
 
-from otc_dist.deployment_log.finishing import begin, sync_folder, write_finished
+from otc_dist import durable
+from otc_dist.deployment_log.finishing import begin, write_finished
 from otc_dist.deployment_log.format import DamagedLogError, partial_path
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
@@ -62,7 +63,7 @@ class LogWriter:
             stream.flush()
             os.fsync(stream.fileno())
         temporary.rename(partial)
-        sync_folder(path.parent)
+        durable.sync(path.parent)
         return cls(path, header, _open_locked(partial), 0, 0)
 
     @classmethod

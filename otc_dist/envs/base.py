@@ -98,6 +98,13 @@ class Versioned(Protocol):
         ...
 
 
+def at_least_one(copies: int) -> int:
+    """`copies`, E. Raises ValueError if it is less than one."""
+    if copies < 1:
+        raise ValueError(f"an environment needs at least one copy, not {copies}")
+    return copies
+
+
 class JointActions:
     """Checks the agents' actions, joins them to rows and clips them, in buffers used again."""
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.envs.base import JointActions, Outcome
+from otc_dist.envs.base import JointActions, Outcome, at_least_one
 from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.transitions import Bool, Float32, Float64
 
@@ -70,9 +70,7 @@ class Particles:
     """
 
     def __init__(self, spec: TeamSpec, copies: int) -> None:
-        if copies < 1:
-            raise ValueError(f"an environment needs at least one copy, not {copies}")
-        self.spec, self.copies = spec, copies
+        self.spec, self.copies = spec, at_least_one(copies)
         count = len(spec.agents)
         self._flat = np.zeros((copies, spec.agents[0].observation_size), np.float32)
         points = self._flat.reshape(copies, -1, 2)

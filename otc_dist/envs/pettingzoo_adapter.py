@@ -25,7 +25,7 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, flatdim, flatten
 from numpy.typing import NDArray
 
-from otc_dist.envs.base import Outcome
+from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.transitions import Float32, Float64, all_finite
@@ -127,10 +127,8 @@ class PettingZooEnv:
     """
 
     def __init__(self, env_id: str, copies: int) -> None:
-        if copies < 1:
-            raise ValueError(f"an environment needs at least one copy, not {copies}")
         self.spec = team_spec(env_id)
-        self.copies = copies
+        self.copies = at_least_one(copies)
         self._envs = [_made(env_id) for _ in range(copies)]
         self._elapsed = np.zeros(copies, np.int64)
         self._seen = tuple(

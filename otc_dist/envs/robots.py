@@ -9,7 +9,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from otc_dist.envs.base import JointActions, Outcome
+from otc_dist.envs.base import JointActions, Outcome, at_least_one
 from otc_dist.envs.robot_specs import PARTITIONS, Robot, team_spec
 from otc_dist.transitions import Bool, Float32, Float64
 
@@ -26,10 +26,8 @@ class RobotEnv:
     """
 
     def __init__(self, env_id: str, copies: int) -> None:
-        if copies < 1:
-            raise ValueError(f"an environment needs at least one copy, not {copies}")
         self.spec = team_spec(env_id)
-        self.copies = copies
+        self.copies = at_least_one(copies)
         self._robot, self._agents = PARTITIONS[env_id]
         threads = max(1, min(os.cpu_count() or 1, copies // _COPIES_PER_THREAD))
         model = load_model(self._robot)

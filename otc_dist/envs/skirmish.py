@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.envs.base import Outcome
+from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.envs.choices import chosen
 from otc_dist.envs.skirmish_rules import (
     EAST,
@@ -79,10 +79,8 @@ class SkirmishEnv:
     """
 
     def __init__(self, env_id: str, copies: int) -> None:
-        if copies < 1:
-            raise ValueError(f"an environment needs at least one copy, not {copies}")
         self.spec = team_spec(env_id)
-        self.copies = copies
+        self.copies = at_least_one(copies)
         self._rules = rules = SKIRMISHES[env_id]
         self._battle = Battle(rules, copies)
         self._elapsed = np.zeros(copies, np.int64)

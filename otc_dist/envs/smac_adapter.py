@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.envs.base import Outcome
+from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.envs.choices import chosen
 from otc_dist.errors import UserError, unknown
 from otc_dist.spec import AgentSpec, TeamSpec
@@ -96,10 +96,8 @@ class SmacEnv:
     """
 
     def __init__(self, env_id: str, copies: int) -> None:
-        if copies < 1:
-            raise ValueError(f"an environment needs at least one copy, not {copies}")
         self.spec = team_spec(env_id)
-        self.copies = copies
+        self.copies = at_least_one(copies)
         self._games: list[Any] = [None] * copies  # each from its first reset on
         self._won = np.zeros(copies, np.bool_)
         self._state = np.zeros((copies, self.spec.state_size))

@@ -102,6 +102,19 @@ class Uniform:
         return Selection(draws["batch"], torch.zeros((), device=draws["batch"].device))
 
 
+def feature_distances(
+    settings: SamplingSection,
+    layout: RowLayout,
+    queries: Tensor,
+    references: Tensor,
+    ids: tuple[Tensor, Tensor] | None,
+) -> Tensor:
+    """d_e, or d_c, (B,) of the rows of `Data.embeddings` that are `queries`, (B, F)."""
+    if settings.distance == "embedding":
+        return nearest_l1(queries, references, ids)
+    return matched_l1(queries, references, matched_size(layout), ids)
+
+
 @dataclass(frozen=True)
 class Otc:
     """Online transition correction: rank-based prioritization by transition similarity.
@@ -162,12 +175,9 @@ class Otc:
         """d(s', s'*) (B,) of the candidates, and how many normalisers were guarded."""
         candidates, references = gathered["candidates"], gathered["references"]
         ids = (draws["candidates"], draws["references"]) if self.settings.exclude_self else None
-        if self.settings.distance == "embedding":
-            nearest = nearest_l1(candidates, references, ids)
-            return nearest, nearest.new_zeros(())
-        if self.settings.distance == "change":
-            changes = matched_l1(candidates, references, matched_size(self.layout), ids)
-            return changes, changes.new_zeros(())
+        if self.settings.distance != "value":
+            near = feature_distances(self.settings, self.layout, candidates, references, ids)
+            return near, near.new_zeros(())
         batch, online = unpack(candidates, self.layout), unpack(references, self.layout)
         matches = match_values(
             self._critic.q(state, batch.observation, batch.action),

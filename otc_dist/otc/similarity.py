@@ -7,9 +7,8 @@ from torch import Tensor
 from otc_dist.algorithms.draws import draw, to_tensors
 from otc_dist.algorithms.interface import Algorithm, Batch, Critic, State, unpack
 from otc_dist.description import SamplingSection
-from otc_dist.otc.changes import matched_size
-from otc_dist.otc.distances import match_values, matched_l1, nearest_l1, next_state_distance
-from otc_dist.otc.samplers import Data, Extent
+from otc_dist.otc.distances import match_values, next_state_distance
+from otc_dist.otc.samplers import Data, Extent, feature_distances
 from otc_dist.transitions import RowLayout
 
 CHUNK = 8192  # rows whose values are computed at once
@@ -51,11 +50,7 @@ def sampled_similarity(
     total = 0.0
     for part in torch.split(chosen, PAIR_CHUNK):
         ids = (part, online) if settings.exclude_self else None
-        queries = data.embeddings[part]
-        if settings.distance == "embedding":
-            distances = nearest_l1(queries, references, ids)
-        else:
-            distances = matched_l1(queries, references, matched_size(layout), ids)
+        distances = feature_distances(settings, layout, data.embeddings[part], references, ids)
         total += float(distances.double().sum())
     return total / count
 

@@ -8,7 +8,6 @@ import pytest
 
 from otc_dist import checkpoint, learner
 from otc_dist.comparison import runs
-from otc_dist.comparison import scores as scores_of
 from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, Arms, describe
 from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.description import Description
@@ -123,7 +122,7 @@ def test_a_full_disk_is_one_clear_line(tmp_path: Path, monkeypatch: pytest.Monke
     def full(descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(scores_of.os, "fsync", full)
+    monkeypatch.setattr("os.fsync", full)
     with pytest.raises(UserError, match=r"cannot write .*uniform\.json: No space left"):
         Run("uniform", 0, "", []).write(tmp_path / "uniform.json")
     assert list(tmp_path.iterdir()) == []

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import os
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import otc_dist
-from otc_dist import progress
+from otc_dist import durable, progress
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import LogSummary, read_header, summarise
 from otc_dist.deployment_log.several import in_order
@@ -71,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         folder.mkdir()
         card = _export(folder, parts, form, arguments)
         for path in (*folder.rglob("*"), folder):
-            _sync(path)
+            durable.sync(path)
     print(
         f"{arguments.out}: {arguments.export}, {', '.join(card['data_sets'])};"
         f" {card['transitions']:,} transitions in {card['trajectories']:,} trajectories"
@@ -155,11 +154,3 @@ def _batches(parts: Sequence[_Part]) -> Iterator[list[Trajectory]]:
                     batch, rows = [], 0
     if batch:
         yield batch
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
