@@ -29,6 +29,7 @@ from .signals import Signals
 from .supervisor import End, Supervisor
 
 _SSH = ("ssh", "-tt", "-o", "BatchMode=yes")  # -tt: what runs there ends when the link does
+_PLAIN = ("env", "TERM=dumb")  # what runs there is given a terminal, and told to write lines to it
 
 
 class Hosts(Section):
@@ -130,7 +131,9 @@ def run(every: Sequence[Part], logs: Path) -> int:
     with Signals() as signals, Supervisor(signals) as supervisor:
         for part in every:
             output = None if part.name == HOST else logs / f"{part.name}.log"
-            supervisor.start(part.name, (*_SSH, part.machine, part.command), output)
+            seen = output is None and sys.stdout.isatty()
+            command = (*_SSH, part.machine, part.command)
+            supervisor.start(part.name, command if seen else (*_PLAIN, *command), output)
         while supervisor.running and not signals.stop:
             signals.wait(0.5)
             for end in supervisor.ended():

@@ -1,6 +1,5 @@
 """What the user sees while a run goes: a live table on a terminal, lines otherwise."""
 
-import sys
 import time
 from typing import Protocol, Self
 
@@ -10,6 +9,7 @@ from rich.table import Table
 
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
+from otc_dist.progress import redraws
 
 from . import forecast
 from .board import Board, place
@@ -29,7 +29,7 @@ class View(Protocol):
 
 def open_view(title: str) -> View:
     """A live view on a terminal, plain lines otherwise."""
-    return TableView(title) if sys.stdout.isatty() else LineView()
+    return TableView(title) if redraws(Console()) else LineView()
 
 
 class LineView:

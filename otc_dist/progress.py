@@ -17,11 +17,16 @@ def silent(done: int, total: int) -> None:
     """The `Report` of whoever shows nothing."""
 
 
+def redraws(console: Console) -> bool:
+    """Whether what is shown there can be drawn over: a terminal, and none that is called dumb."""
+    return console.is_terminal and not console.is_dumb_terminal
+
+
 @contextmanager
 def shown(doing: str, unit: str) -> Iterator[Report]:
     """Show on the standard error output how many of some `unit` are done, after what is `doing`."""
     console = Console(stderr=True)
-    if console.is_terminal:
+    if redraws(console):
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),

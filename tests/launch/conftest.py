@@ -1,5 +1,6 @@
-"""Starts real launchers, and finds the processes of a run."""
+"""Starts real launchers, finds the processes of a run, and compares what two runs ended with."""
 
+import json
 import os
 import select
 import signal
@@ -10,7 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 
+from otc_dist.run_folder import RunFolder
+
+AGENTS = ("agent_0", "agent_1", "agent_2")  # of the runs here
 DEADLINE = 240.0  # seconds: a test that waits longer has failed
 
 
@@ -111,3 +116,42 @@ def wait_for_end(pids: list[int]) -> None:
         finally:
             os.close(handle)
         assert ready, f"process {pid} still runs"
+
+
+def outcome(folder: RunFolder, learners: Sequence[RunFolder] = ()) -> dict[str, object]:
+    """All that must not depend on what happened on the way: weights, logs, returns.
+
+    `learners`: where the agents' checkpoints lie, if not in the same folder.
+    """
+    found: dict[str, object] = {}
+    for index, agent in enumerate(AGENTS):
+        own = learners[index] if learners else folder
+        for k in range(3):
+            found[f"{agent} {k}"] = own.checkpoint(agent, k).read_bytes()
+    for k in (1, 2):
+        with folder.deployment(k).open("rb") as file:
+            found[f"deployment {k}"] = [
+                (channel.topic, message.sequence, message.data)
+                for _, channel, message in make_reader(file).iter_messages("joint_step")
+            ]
+    for k in range(3):
+        found[f"evaluation {k}"] = json.loads(folder.evaluation(k).read_text())["returns"]
+    return found
+
+
+@pytest.fixture(scope="session")
+def finished(
+    tmp_path_factory: pytest.TempPathFactory, tiny_flags: tuple[str, ...]
+) -> tuple[RunFolder, Launcher]:
+    """An undisturbed run, and the launcher that it ended with."""
+    place = tmp_path_factory.mktemp("finished")
+    launcher = Launcher("3agent_hopper", *tiny_flags, "--out", "run", cwd=place)
+    assert launcher.finish() == 0, launcher.text
+    return RunFolder(place / "run"), launcher
+
+
+def same(folder: RunFolder, reference: RunFolder, learners: Sequence[RunFolder] = ()) -> None:
+    """Assert that two runs ended with the same bytes; `learners` as for `outcome`."""
+    ours, theirs = outcome(folder, learners), outcome(reference)
+    assert ours.keys() == theirs.keys()
+    assert [name for name in ours if ours[name] != theirs[name]] == []

@@ -4,12 +4,11 @@ import json
 import os
 import shutil
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from mcap.reader import make_reader
 
 from otc_dist import certs
 from otc_dist.datasets.importers import import_files
@@ -17,51 +16,12 @@ from otc_dist.launch.__main__ import main
 from otc_dist.launch.run_record import RunRecord
 from otc_dist.run_folder import RunFolder
 
-from .conftest import Launcher, processes_of, wait_for_end
+from .conftest import AGENTS, Launcher, processes_of, same, wait_for_end
 from .namespaces import star
 
 pytestmark = pytest.mark.slow
 
 Launch = Callable[..., Launcher]
-AGENTS = ("agent_0", "agent_1", "agent_2")
-
-
-def outcome(folder: RunFolder, learners: Sequence[RunFolder] = ()) -> dict[str, object]:
-    """All that must not depend on what happened on the way: weights, logs, returns.
-
-    `learners`: where the agents' checkpoints lie, if not in the same folder.
-    """
-    found: dict[str, object] = {}
-    for index, agent in enumerate(AGENTS):
-        own = learners[index] if learners else folder
-        for k in range(3):
-            found[f"{agent} {k}"] = own.checkpoint(agent, k).read_bytes()
-    for k in (1, 2):
-        with folder.deployment(k).open("rb") as file:
-            found[f"deployment {k}"] = [
-                (channel.topic, message.sequence, message.data)
-                for _, channel, message in make_reader(file).iter_messages("joint_step")
-            ]
-    for k in range(3):
-        found[f"evaluation {k}"] = json.loads(folder.evaluation(k).read_text())["returns"]
-    return found
-
-
-@pytest.fixture(scope="module")
-def finished(
-    tmp_path_factory: pytest.TempPathFactory, tiny_flags: tuple[str, ...]
-) -> tuple[RunFolder, Launcher]:
-    """An undisturbed run."""
-    place = tmp_path_factory.mktemp("finished")
-    launcher = Launcher("3agent_hopper", *tiny_flags, "--out", "run", cwd=place)
-    assert launcher.finish() == 0, launcher.text
-    return RunFolder(place / "run"), launcher
-
-
-def same(folder: RunFolder, reference: RunFolder, learners: Sequence[RunFolder] = ()) -> None:
-    ours, theirs = outcome(folder, learners), outcome(reference)
-    assert ours.keys() == theirs.keys()
-    assert [name for name in ours if ours[name] != theirs[name]] == []
 
 
 def test_a_run_ends_with_results_and_nothing_left(finished: tuple[RunFolder, Launcher]) -> None:
