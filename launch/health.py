@@ -1,7 +1,7 @@
 """How every process of a run is: what its token, its statuses and its ends say. No action here.
 
 A process that can no longer run (frozen, or its machine is cut off) loses its liveliness token
-within the lease of its link, 2 s. If it is also seen to use no processor time, it is frozen, and
+with the lease of its link, 1.5 s. If it is also seen to use no processor time, it is frozen, and
 is to be killed. A process whose heartbeat goes on while its work does not is stuck.
 """
 

@@ -25,7 +25,7 @@ zenoh: Any = _typed_zenoh  # its stubs leave functions untyped; none of its type
 # bytes; sessions that neither send nor take longer messages have quick links. So short that all
 # that is asked of a frozen learner, until the lease ends its link, fits into the socket's buffer.
 QUICK_PAYLOAD = 16_000
-_LEASE_MS = 2000  # a frozen process is noticed within this time
+_LEASE_MS = 1500  # a frozen process is noticed soon after, and must be within 2 s
 
 
 def configuration(mode: str, maximum_payload: int, settings: Mapping[str, object]) -> Any:
