@@ -98,6 +98,21 @@ def read(path: Path) -> tuple[Arrays, Progressed]:
     return arrays, Progressed(**about)
 
 
+def check_fits(path: Path, found: Progressed, mine: Progressed) -> None:
+    """Refuse a checkpoint that is not `mine` to go on from.
+
+    One of offline training fits every description that differs only in how it tunes.
+
+    Raises:
+        UserError: another agent's, or of another description.
+    """
+    if found.agent != mine.agent:
+        raise UserError(f"the checkpoint {path} is {found.agent}'s, not {mine.agent}'s")
+    same_run = found.tuned <= 0 or found.run_digest == mine.run_digest
+    if found.offline_digest != mine.offline_digest or not same_run:
+        raise UserError(f"the checkpoint {path} was made by another description; use its own")
+
+
 def _seal(arrays: Mapping[str, NDArray[np.generic]], about: Mapping[str, object]) -> str:
     """A digest of the tensors and of what is said about them: alpha matters as weights do."""
     return hashlib.sha256((digest(arrays) + json.dumps(about, sort_keys=True)).encode()).hexdigest()

@@ -21,13 +21,18 @@ log = logging.getLogger(__name__)
 
 
 class Embedder:
-    """The frozen embedding mu(s, a, s') of one agent: `state` is None until it is trained."""
+    """The frozen embedding mu(s, a, s') of one agent: `state` is None until it is trained.
+
+    Attributes:
+        size: of mu, e.
+    """
 
     def __init__(self, section: EmbeddingSection, layout: RowLayout, engine: Engine) -> None:
         self._section, self._layout, self._engine = section, layout, engine
         settings = section.model_dump(exclude={"updates", "batch_size", "minimum_active"})
         action_size = layout.choices or layout.action_size
         self._embedding = Embedding(layout.observation_size, action_size, **settings)
+        self.size = section.size
         self.state: State | None = None
 
     def train(
@@ -80,7 +85,7 @@ class Embedder:
                 out[part] = self._embedding.embed(self.state, _batch(rows[part], self._layout))
 
     def _count_active(self, rows: Tensor) -> int:
-        embeddings = torch.empty(len(rows), self._section.size, device=rows.device)
+        embeddings = torch.empty(len(rows), self.size, device=rows.device)
         self.embed(rows, embeddings)
         active = active_dimensions(embeddings)
         if active < self._section.minimum_active:
@@ -88,7 +93,7 @@ class Embedder:
                 "only %d of %d dimensions of the embedding are active; try a smaller"
                 " embedding.kl_weight",
                 active,
-                self._section.size,
+                self.size,
             )
         return active
 

@@ -29,16 +29,17 @@ from otc_dist.description import Description
 from otc_dist.embedder import Embedder
 from otc_dist.engine import Engine, resolve
 from otc_dist.errors import UserError
+from otc_dist.experience import Experience
 from otc_dist.exploration import explore
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
 from otc_dist.otc.changes import Changes
-from otc_dist.otc.samplers import Data, Extent, Uniform
+from otc_dist.otc.samplers import Uniform
 from otc_dist.otc.similarity import expected_similarity
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec, Task
 from otc_dist.trainer import Phase, Trainer, improvements
-from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
+from otc_dist.transitions import Float32, RowLayout, Transitions
 
 SAVE_EVERY = 10_000  # offline updates between two checkpoints
 log = logging.getLogger(__name__)
@@ -90,12 +91,26 @@ class Learner:
         updates = description.offline.updates + deployments.count * deployments.updates
         self._engine = Engine(resolve(description.engine.name, updates))
 
+        algorithm, sampling = description.algorithm, description.sampling
         self._scale = ActionScale(spec)
         self._layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
-        online = deployments.count * deployments.transitions
-        self._buffer = ReplayBuffer(self._layout, len(data) + online)
+        compared = sampling.distance if sampling.name == "otc" else None
+        self._embedder: Embedder | None = None
+        if compared == "embedding":
+            self._embedder = Embedder(description.embedding, self._layout, self._engine)
+        changes = Changes(self._layout) if compared == "change" else None
+        self._experience = Experience(
+            self._layout,
+            self._scale,
+            data,
+            deployments.count * deployments.transitions,
+            self._embedder or changes,
+            self._engine.device,
+        )
+        if changes:
+            changes.fit(self._experience.offline)
+            self._experience.embed()
 
-        algorithm, sampling = description.algorithm, description.sampling
         self._algorithm = create(algorithm, spec, task)
         self._improvements = improvements(self._algorithm)
         self._sampler = create_sampler(
@@ -103,28 +118,11 @@ class Learner:
             self._algorithm,
             self._layout,
             algorithm.batch_size,
-            capacity=len(self._buffer.rows),
+            capacity=self._experience.capacity,
         )
-        self._embedder: Embedder | None = None
-        if sampling.name == "otc" and sampling.distance == "embedding":
-            self._embedder = Embedder(description.embedding, self._layout, self._engine)
-        self._changes: Changes | None = None
-        if sampling.name == "otc" and sampling.distance == "change":
-            self._changes = Changes(self._layout)
-
-        capacity, device = len(self._buffer.rows), self._engine.device
-        width = description.embedding.size if self._embedder else 0
-        width = self._changes.size if self._changes else width
-        self._data = Data(
-            torch.from_numpy(self._buffer.rows).to(device), torch.zeros(capacity, width).to(device)
-        )
-        self._append(data, offline=True)
-        if self._changes:
-            self._changes.fit(self._data.rows[: len(data)])
-            self._embed(0, len(data))
-        offline = unpack(torch.from_numpy(self._buffer.rows[: len(data)]), self._layout)
+        offline = unpack(self._experience.offline.cpu(), self._layout)
         initial = self._algorithm.initial_state(self._stream("initial"), offline)
-        self._state: State = to_tensors(initial, device)
+        self._state: State = to_tensors(initial, self._engine.device)
         base, layout = self._algorithm, self._layout  # equal ones are compiled once
         step = self._engine.fuse(
             lambda state, rows, draws: base.update(state, unpack(rows, layout), draws)
@@ -168,17 +166,22 @@ class Learner:
             phase = Phase("offline", 0, 0, self._alpha.value)
             span = (self._offline_updates, updates)
             self._state = self._offline.train(
-                self._state, self._data, self._extent(), phase, span, on_block
+                self._state,
+                self._experience.data,
+                self._experience.extent,
+                phase,
+                span,
+                on_block,
             )
             self._offline_updates = total
         if self._embedder and self._embedder.state is None:
             total = self.description.embedding.updates
             self._embedder.train(
-                self._data.rows[: self._buffer.offline_size],
+                self._experience.offline,
                 lambda *key: self._stream("embedding", *key),
                 lambda done, metrics: report(Progress("embedding", 0, done, total, metrics)),
             )
-            self._embed(0, self._buffer.size)
+            self._experience.embed()
         self.tuned = max(self.tuned, 0)
 
     def act(
@@ -228,7 +231,7 @@ class Learner:
         """
         if deployment != self.tuned + 1:
             raise ValueError(f"cannot tune on deployment {deployment} after {self.tuned}")
-        self._append(data, offline=False)
+        self._experience.merge(data)
         updates = self.description.deployment.updates
         total = updates + self._improvements
         measured = self._adapt(deployment) if self.description.sampling.name == "otc" else {}
@@ -237,11 +240,16 @@ class Learner:
         def on_block(state: State, done: int, metrics: dict[str, float]) -> None:
             report(Progress("tuning", deployment, done, total, metrics))
 
-        extent = self._extent()
+        extent = self._experience.extent
         begun = self._sampler.begin(self._state, extent, self._stream("sampler", deployment))
         phase = Phase("tuning", deployment, self.description.minibatch_key, self._alpha.value)
         self._state = self._online.train(
-            {**self._state, **begun}, self._data, extent, phase, (0, updates), on_block
+            {**self._state, **begun},
+            self._experience.data,
+            extent,
+            phase,
+            (0, updates),
+            on_block,
         )
         self.tuned = deployment
 
@@ -259,19 +267,14 @@ class Learner:
     def load(self, path: Path) -> None:
         """Take over a checkpoint's state; `restore` then merges D_1 .. D_tuned again.
 
-        A checkpoint of offline training fits every description that differs only in how it
-        tunes. If it lacks the embedding that this one needs, `pretrain` trains it.
+        If a checkpoint of offline training lacks the embedding that this description needs,
+        `pretrain` trains it.
 
         Raises:
-            UserError: missing, damaged, another agent's or of another description.
+            UserError: missing, damaged, or not this learner's: see `checkpoint.check_fits`.
         """
         arrays, found = checkpoint.read(path)
-        mine = self._progressed()
-        if found.agent != mine.agent:
-            raise UserError(f"the checkpoint {path} is {found.agent}'s, not {mine.agent}'s")
-        same_run = found.tuned <= 0 or found.run_digest == mine.run_digest
-        if found.offline_digest != mine.offline_digest or not same_run:
-            raise UserError(f"the checkpoint {path} was made by another description; use its own")
+        checkpoint.check_fits(path, found, self._progressed())
         states = checkpoint.parts(arrays, "algorithm", "embedding")
         self._state = to_tensors(states["algorithm"], self._engine.device)
         self._offline_updates = found.offline_updates
@@ -279,7 +282,7 @@ class Learner:
         if self._embedder:
             if states["embedding"]:
                 self._embedder.state = to_tensors(states["embedding"], self._engine.device)
-                self._embed(0, self._buffer.size)
+                self._experience.embed()
             else:
                 self.tuned = -1
         if found.tuned > 0:
@@ -288,38 +291,23 @@ class Learner:
     def restore(self, online: Sequence[Transitions]) -> None:
         """After `load`: merge D_1 .. D_tuned again, in order."""
         for data in online:
-            self._append(data, offline=False)
+            self._experience.merge(data)
 
     def _stream(self, *key: int | str) -> np.random.Generator:
         return stream(self.description.seed, self._agent, *key)
 
-    def _extent(self) -> Extent:
-        buffer = self._buffer
-        return Extent(buffer.offline_size, buffer.newest_start, buffer.size)
-
-    def _append(self, data: Transitions, *, offline: bool) -> None:
-        """Merge transitions, with actions scaled to [-1, 1], and embed them if d_e is ready."""
-        start = self._buffer.size
-        self._buffer.append(data if offline else data.sound(), offline=offline)
-        end = self._buffer.size
-        actions = self._buffer.rows[start:end, self._layout.action]
-        actions[:] = self._scale.scaled(actions)
-        if self._engine.device.type != "cpu":  # on the CPU both are the same memory
-            self._data.rows[start:end] = torch.from_numpy(self._buffer.rows[start:end])
-        self._embed(start, end)
-
-    def _embed(self, start: int, end: int) -> None:
-        features = self._embedder or self._changes
-        if features:
-            features.embed(self._data.rows[start:end], self._data.embeddings[start:end])
-
     def _adapt(self, deployment: int) -> dict[str, float]:
         sampling = self.description.sampling
         random = self._stream("similarity", deployment)
-        data, extent = self._data, self._extent()
         with torch.no_grad():
             similarity, guarded = expected_similarity(
-                self._algorithm, self._state, data, extent, self._layout, sampling, random
+                self._algorithm,
+                self._state,
+                self._experience.data,
+                self._experience.extent,
+                self._layout,
+                sampling,
+                random,
             )
         if sampling.adaptive:
             self._alpha = self._alpha.adapt(similarity, sampling.alpha_bound)

@@ -90,8 +90,8 @@ def test_compiled_code_is_kept_in_the_cache(monkeypatch: pytest.MonkeyPatch) -> 
 
 def updates(learner: Learner, count: int) -> list[np.ndarray]:
     """The state, as one vector, after each of `count` tuning updates by the learner's own path."""
-    trainer, extent = learner._online, learner._extent()
-    update = trainer._update(learner._data)
+    trainer, extent = learner._online, learner._experience.extent
+    update = trainer._update(learner._experience.data)
     noise = learner._algorithm.noise(learner.description.algorithm.batch_size)
     draw_block = trainer._draws(noise, extent, Phase("tuning", 1, 0, 1.0), "")
     draws = to_tensors(draw_block(0, count), CPU)
@@ -117,8 +117,8 @@ def test_compiled_equals_eager(arm: str) -> None:
         if learner._embedder and compiled._embedder:
             compiled._embedder.state = learner._embedder.state
         compiled.pretrain(silent, unsaved)
-        compiled._append(online(1), offline=False)
-        compiled._embed(0, compiled._buffer.size)
+        compiled._experience.merge(online(1))
+        compiled._experience.embed()
         runs.append(updates(compiled, 20))
     for eager, compiled_state in zip(*runs, strict=True):
         np.testing.assert_allclose(compiled_state, eager, atol=1e-5)
