@@ -23,7 +23,7 @@ from otc_dist.algorithms.advantages import ValueFunction, generalised_advantages
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.dynamics import Ensemble, normalised_observations
 from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.networks import Mlp, descend, fresh_state
+from otc_dist.algorithms.networks import Mlp, descend, fresh_state, value_and_gradient
 from otc_dist.algorithms.trust_region import Step, trust_region_step
 from otc_dist.spec import Task
 
@@ -31,6 +31,7 @@ AVERAGED_SHARE = 0.1  # of the updates made: the longest that weights are averag
 # The Fisher matrix is computed from every ninth state: a tenth was enough for TRPO's authors.
 # 9 and the usual batch of 128 have no common divisor, so that all rollouts contribute.
 FISHER_STRIDE = 9
+PART = 2048  # states of the rollouts judged at once: all of them would take 100 MB of layers
 
 
 class Rollouts(NamedTuple):
@@ -250,24 +251,34 @@ class Bremen:
             actions, advantages: (H, B, a) and (H, B), N = H B.
         """
         centred = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
-        weights, actions = centred.flatten(), actions.flatten(0, 1)
-        old = self.mean(policy, observations)
+        weights, actions = centred.flatten() / centred.numel(), actions.flatten(0, 1)
+        old = torch.cat([self.mean(policy, part) for part in torch.split(observations, PART)])
+        arrays = (observations, actions, weights, old)
+        parts = list(zip(*(torch.split(array, PART) for array in arrays), strict=True))
         variance = self.std**2
 
-        def outcome(policy: Tensor) -> tuple[Tensor, Tensor]:
-            mean = self.mean(policy, observations)
+        def divergence(mean: Tensor, old: Tensor) -> Tensor:
+            return ((mean - old) ** 2).sum() / (2 * variance)
+
+        def judged(policy: Tensor, part: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+            seen, actions, weights, old = part
+            mean = self.mean(policy, seen)
             distances = ((actions - old) ** 2 - (actions - mean) ** 2).sum(-1)
             ratio = (distances / (2 * variance)).exp()
-            return ((ratio - 1) * weights).mean(), divergence(mean, old)
+            return (ratio - 1) @ weights, divergence(mean, old) / len(observations)
 
-        def divergence(mean: Tensor, old: Tensor) -> Tensor:
-            return ((mean - old) ** 2).sum(-1).mean() / (2 * variance)
+        def outcome(policy: Tensor) -> tuple[Tensor, Tensor]:
+            gains, divergences = zip(*(judged(policy, part) for part in parts), strict=True)
+            return torch.stack(gains).sum(), torch.stack(divergences).sum()
+
+        def gradient(part: tuple[Tensor, ...]) -> Tensor:
+            return value_and_gradient(lambda policy: judged(policy, part)[0], policy)[1]
 
         some, old_some = observations[::FISHER_STRIDE], old[::FISHER_STRIDE]
         return trust_region_step(
             policy,
-            lambda policy: outcome(policy)[0],
+            torch.stack([gradient(part) for part in parts]).sum(0),
             outcome,
-            lambda policy: divergence(self.mean(policy, some), old_some),
+            lambda policy: divergence(self.mean(policy, some), old_some) / len(some),
             self.radius,
         )

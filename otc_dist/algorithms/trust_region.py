@@ -12,8 +12,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.networks import value_and_gradient
-
 # As in BREMEN's code.
 DAMPING = 0.1  # added to the Fisher matrix's diagonal
 ITERATIONS = 10  # of conjugate gradients
@@ -38,7 +36,7 @@ class Step(NamedTuple):
 
 def trust_region_step(
     parameters: Tensor,
-    gain: Callable[[Tensor], Tensor],
+    gradient: Tensor,
     outcome: Callable[[Tensor], tuple[Tensor, Tensor]],
     divergence: Callable[[Tensor], Tensor],
     radius: float,
@@ -47,8 +45,8 @@ def trust_region_step(
 
     Args:
         parameters: theta_old (n,).
-        gain: L(theta) - L(theta_old), for its gradient.
-        outcome: the same and E[KL(pi_old || pi_theta)], for the line search.
+        gradient: of L at theta_old (n,).
+        outcome: L(theta) - L(theta_old) and E[KL(pi_old || pi_theta)], for the line search.
         divergence: E[KL(pi_old || pi_theta)], perhaps over fewer states, for its Hessian at
             theta_old, which is the Fisher matrix.
         radius: delta, nats.
@@ -57,7 +55,6 @@ def trust_region_step(
         The longest step that is within the radius and has more than ACCEPTED_SHARE of the gain
         that the gradient promises; theta_old if there is none.
     """
-    _, gradient = value_and_gradient(gain, parameters)
     fisher = hessian_product(divergence, parameters)
 
     def damped(vector: Tensor) -> Tensor:

@@ -44,7 +44,7 @@ class Problem:
             return self.gain(parameters), self.divergence(parameters)
 
         with torch.no_grad():
-            return trust_region_step(self.start, self.gain, outcome, self.divergence, radius)
+            return trust_region_step(self.start, self.gradient, outcome, self.divergence, radius)
 
     def expected(self, radius: float) -> np.ndarray:
         """The same with a solver, and a line search that tries one length after another."""
