@@ -11,7 +11,8 @@ and take turns of 100 updates on one thread (timing.py).
 Where the peers' equations differ from the algorithms' sources, in what it costs: d3rlpy's
 discrete CQL has no masks of available actions and copies its target now and then; its BCQ
 decodes actions without the final tanh. d3rlpy has no BREMEN, of which the minibatch update is
-timed, without the improvement of the policy. CORL's own files have three hidden layers in AWAC
+timed, without the improvement of the policy: beside the matrix products that any code must do
+for it, which take most of its time. CORL's own files have three hidden layers in AWAC
 and CQL, where Table 3 has two; it has no BCQ, discrete CQL or BREMEN.
 """
 
@@ -24,7 +25,7 @@ import torch
 from d3rlpy_peer import Peer, missing
 from plain.awac import PlainAwac
 from plain.bcq import PlainBcq
-from plain.bremen import PlainBremen
+from plain.bremen import BremenProducts, PlainBremen
 from plain.cql import PlainCql
 from plain.discrete_cql import PlainDiscreteCql
 from plain.td3bc import PlainTd3Bc
@@ -86,6 +87,9 @@ def entry(name: str, rounds: int) -> Entry:
     made = Entry(name, Timed(name, tuning(learner, online)), [], {})
     plain = PLAIN[name](section, spec, data)
     made.peers.append(Timed("CORL's way", repeated(plain.update)))
+    if name == "bremen":
+        products = BremenProducts(section, spec)
+        made.peers.append(Timed("  matrix products alone", repeated(products.update)))
     if reason := missing(name):
         made.absent["d3rlpy"] = reason
     else:

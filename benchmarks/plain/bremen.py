@@ -1,6 +1,7 @@
 """Plain minibatch updates of BREMEN: the dynamics models and the behaviour clone."""
 
 from copy import deepcopy
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -44,6 +45,34 @@ class PlainBremen:
         follow(self.average_models, self.models, self.rate)
         follow(self.average_clone, self.clone, self.rate)
         return [model_loss.item(), clone_loss.item()]
+
+
+class BremenProducts:
+    """The matrix products of an update alone, of all models at once: no code can be quicker.
+
+    Of each layer of the models and the clone: forward, for its weights, and for its inputs but
+    for the first layer's.
+    """
+
+    def __init__(self, section: BremenSection, spec: AgentSpec) -> None:
+        s, a, hidden, batch = (
+            spec.observation_size,
+            spec.action_size,
+            section.hidden,
+            section.batch_size,
+        )
+        self.layers = []
+        for count, sizes in ((section.models, (s + a, *hidden, s)), (1, (s, *hidden, a))):
+            for i, (fan_in, fan_out) in enumerate(pairwise(sizes)):
+                x, gradient = torch.randn(count, batch, fan_in), torch.randn(count, batch, fan_out)
+                self.layers.append((i > 0, x, torch.randn(count, fan_in, fan_out), gradient))
+
+    def update(self) -> None:
+        for inner, x, weights, gradient in self.layers:
+            torch.bmm(x, weights)
+            torch.bmm(x.mT, gradient)
+            if inner:
+                torch.bmm(gradient, weights.mT)
 
 
 def moments(values: Tensor) -> tuple[Tensor, Tensor]:
