@@ -24,6 +24,7 @@ from .place import Place
 
 State = Literal["running", "stopped", "failed", "finished"]
 # What can change a run's bits. A run goes on only with the versions that it began with.
+_LOCK = ".lock"  # held by the launcher that is at work, the first file of a run folder
 _ODD = r"[^A-Za-z0-9_.-]"  # what may not stand in the bus's keys
 PACKAGES = ("torch", "mujoco", "numpy", "scipy", "eclipse-zenoh", "mcap")
 
@@ -93,7 +94,7 @@ def create(folder: RunFolder, description: Description, quick: bool, place: Plac
         quick=quick,
         place=place,
     )
-    folder.description.write_text(description.to_toml(), encoding="utf-8")
+    durable.write(folder.description, description.to_toml().encode())
     record.write(folder)
     return record
 
@@ -156,7 +157,7 @@ def locked(folder: RunFolder) -> Iterator[None]:
     Raises:
         UserError: another launcher holds it.
     """
-    descriptor = os.open(folder.root / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    descriptor = os.open(folder.root / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -175,7 +176,7 @@ def make_folder(out: Path, needed: int) -> RunFolder:
     """
     folder = RunFolder(out.resolve())
     try:
-        if folder.root.exists() and any(folder.root.iterdir()):
+        if folder.root.exists() and not _free(folder):
             hint = f"--resume {out}, or " if folder.run_json.exists() else ""
             raise UserError(f"{out} exists already; use {hint}another --out")
         folder.root.mkdir(parents=True, exist_ok=True)
@@ -191,6 +192,14 @@ def make_folder(out: Path, needed: int) -> RunFolder:
             f" {_megabytes(free)} are free"
         )
     return folder
+
+
+def _free(folder: RunFolder) -> bool:
+    """Whether nothing is in it but what a launcher leaves that was killed as it began."""
+    begun = {folder.description.name, f"{folder.description.name}.partial"}
+    begun |= {f"{folder.run_json.name}.partial", _LOCK}
+    found = {path.name for path in folder.root.iterdir()}
+    return not found or (_LOCK in found and found <= begun)
 
 
 def _megabytes(size: int) -> str:

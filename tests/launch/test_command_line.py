@@ -111,6 +111,18 @@ def test_an_existing_run_is_not_overwritten(run: RunFolder) -> None:
         main(["3agent_hopper", *SHORT, "--out", str(run.root)])
 
 
+def test_a_run_that_was_killed_before_it_began_is_begun_again(
+    run: RunFolder, tmp_path: Path
+) -> None:
+    """But a folder of the user's own, with a file of such a name in it, is left alone."""
+    (run.root / ".lock").touch()
+    run.run_json.unlink()
+    run_record.make_folder(run.root, needed=0)
+    (run.root / ".lock").unlink()
+    with pytest.raises(UserError, match="exists already; use another --out"):
+        run_record.make_folder(run.root, needed=0)
+
+
 def test_a_finished_run_is_not_resumed(run: RunFolder) -> None:
     run_record.RunRecord.read(run).moved_to("finished", run)
     with pytest.raises(UserError, match=r"is finished; see .*report\.html"):
