@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from otc_dist.errors import UserError, unknown
+from otc_dist.parser import Parser
 
 from . import chaos_arena
 from .chaos_faults import FAULTS, Fault, MissedError, Place
 from .chaos_outcome import differences, outcome
 from .chaos_run import PHASES, DisturbedRun, StuckError
-from .parser import Parser
 
 # The smallest run with every phase, each long enough to be hit.
 SHORT_RUN = (

@@ -13,10 +13,10 @@ from otc_dist.comparison.statistics import summarise
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.parser import Parser
 
 from . import comparison_jobs, descriptions
 from .jobs import FailedError, Job, StoppedError, cores, run_jobs
-from .parser import Parser
 from .resolve import resolve
 
 EPISODES = 30  # greedy episodes that a comparison needs at least

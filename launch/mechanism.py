@@ -11,10 +11,10 @@ from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.parser import Parser
 
 from . import comparison_jobs, descriptions
 from .jobs import FailedError, StoppedError, cores, run_jobs
-from .parser import Parser
 from .resolve import resolve
 
 _EXPLANATION = """\

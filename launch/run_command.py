@@ -9,12 +9,12 @@ from pathlib import Path
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.parser import Parser
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
 from . import descriptions, hosts, plan, run_record
 from .conduct import conduct
-from .parser import Parser
 from .place import Place
 from .resolve import resolve
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from otc_dist.bus.messages import Status
 from otc_dist.errors import UserError
+from otc_dist.parser import Parser
 from otc_dist.run_folder import RunFolder
 
 from . import forecast, run_record
 from .board import place
-from .parser import Parser
 from .run_record import RunRecord
 from .vital_signs import ProcessState, Supervision
 

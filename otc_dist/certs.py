@@ -24,6 +24,7 @@ from otc_dist.bus.access import router_rules
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from otc_dist.bus.keys import HOST, OBSERVER, Keys
 from otc_dist.errors import UserError, run_main
+from otc_dist.parser import Parser
 
 DESCRIPTION = """\
 Make what processes on separate hosts prove with who they are: a certificate authority, and one
@@ -246,7 +247,7 @@ def _write(folder: Path, contents: dict[str, bytes]) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m otc_dist.certs",
         description=DESCRIPTION,
         epilog=EXAMPLES,

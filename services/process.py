@@ -20,6 +20,7 @@ from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
 from otc_dist.errors import UserError, leave
 from otc_dist.exploration import Schedule
+from otc_dist.parser import Parser
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
@@ -96,7 +97,7 @@ class Run:
 
 def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParser:
     """A command line with what both services take."""
-    made = argparse.ArgumentParser(
+    made = Parser(
         prog=f"python -m otc_dist.services.{module}",
         description=description,
         epilog=epilog,

@@ -11,6 +11,7 @@ from otc_dist.datasets.card import DatasetCard, Summary
 from otc_dist.datasets.importers import import_files
 from otc_dist.datasets.names import DatasetName, known_names
 from otc_dist.errors import UserError, run_main
+from otc_dist.parser import Parser
 
 DESCRIPTION = """\
 Offline data sets B_0: one file an agent, with only that agent's <s, a_i, r, s'>.
@@ -58,7 +59,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m otc_dist.datasets",
         description=DESCRIPTION,
         epilog=EXAMPLES.format(cache=cache_root()),

@@ -7,7 +7,6 @@ of the skirmish, whose data the medium policy alone makes, only that one.
 Deterministic: the same seed on the same machine and library versions gives the same bytes.
 """
 
-import argparse
 import hashlib
 import json
 import time
@@ -27,6 +26,7 @@ from otc_dist.envs import registry
 from otc_dist.envs.base import Contest
 from otc_dist.envs.robot_specs import single_agent_id
 from otc_dist.errors import run_main
+from otc_dist.parser import Parser
 from otc_dist.randomness import derive_seed, stream
 from otc_dist.transitions import Float64
 
@@ -204,7 +204,7 @@ def write(name: str, seed: int, history: History, out: Path) -> None:
 
 def main(argv: list[str]) -> int:
     """Command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m otc_dist.datasets.behaviour_training",
         description="Train a task's behaviour policies with PPO (some minutes, one thread).",
     )

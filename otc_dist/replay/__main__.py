@@ -9,6 +9,7 @@ from pathlib import Path
 
 from otc_dist.deployment_log.format import DamagedLogError
 from otc_dist.errors import UserError, run_main
+from otc_dist.parser import Parser
 from otc_dist.replay.export.formats import FORMATS
 from otc_dist.replay.selection import step_range
 
@@ -96,7 +97,7 @@ def main(argv: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -m otc_dist.replay",
         description=DESCRIPTION,
         epilog=EXAMPLES,

@@ -103,9 +103,14 @@ def test_what_is_not_there_is_told_in_one_line(
 
 
 @pytest.mark.parametrize("text", ["7", "9:3", "a:b", "-1:2"])
-def test_a_range_that_is_none_is_a_usage_error(
-    recorded: tuple[Recording, Path], replay, text: str
+def test_a_range_that_is_none_is_told_in_one_line(
+    recorded: tuple[Recording, Path], refused, text: str
 ) -> None:
-    with pytest.raises(SystemExit) as caught:
-        replay(recorded[1], f"--steps={text}")
-    assert caught.value.code == 2
+    assert f"{text!r} is no range of steps" in refused(recorded[1], f"--steps={text}")
+
+
+def test_another_format_or_flag_is_told_in_one_line(
+    recorded: tuple[Recording, Path], refused
+) -> None:
+    assert "invalid choice: 'hdf'" in refused(recorded[1], "--export", "hdf")
+    assert "unknown flag '--steeps'" in refused(recorded[1], "--steeps", "1:2")

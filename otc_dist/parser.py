@@ -1,4 +1,4 @@
-"""The commands' argument parser."""
+"""The argument parser of all commands."""
 
 import argparse
 from typing import NoReturn
