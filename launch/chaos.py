@@ -74,12 +74,14 @@ def main(argv: list[str]) -> int:
         with calm:
             calm.start()
             calm.finish()
-        tallies = {
-            name: _inflict(name, count, place, arguments.seed, outcome(calm.folder))
-            for name, count in wanted.items()
-        }
-    print(f"\n{(time.monotonic() - start) / 60:.0f} min, seed {arguments.seed}")
-    print("\n".join(_table(tallies)))
+        tallies: dict[str, Tally] = {}
+        try:
+            for name, count in wanted.items():
+                tallies[name] = Tally()
+                _inflict(name, count, place, arguments.seed, outcome(calm.folder), tallies[name])
+        finally:  # also after Ctrl-C: what was found so far
+            print(f"\n{(time.monotonic() - start) / 60:.0f} min, seed {arguments.seed}")
+            print("\n".join(_table(tallies)))
     wrong = any(tally.wrong for tally in tallies.values())
     if not wrong and arguments.out is None:
         shutil.rmtree(out)
@@ -87,10 +89,10 @@ def main(argv: list[str]) -> int:
 
 
 def _inflict(
-    name: str, count: int, place: Place, seed: int, expected: Mapping[str, bytes]
-) -> Tally:
+    name: str, count: int, place: Place, seed: int, expected: Mapping[str, bytes], tally: Tally
+) -> None:
     """Strike `count` times, in as many runs as it takes."""
-    tally, make = Tally(), FAULTS[name]
+    make = FAULTS[name]
     tally.skipped = make(place).impossible
     while not tally.skipped and tally.struck < count and len(tally.wrong) < 3:
         fault = make(place)
@@ -111,7 +113,6 @@ def _inflict(
         else:
             shutil.rmtree(folder)
         print(f"{name}: {tally.struck} of {count}, {tally.runs} runs", flush=True)
-    return tally
 
 
 def _one_run(

@@ -122,6 +122,8 @@ class CorruptCheckpoint(Fault):
         try:
             newest = _newest_checkpoint(run.folder, name)
             assert newest is not None  # a newer one replaces an older one
+            if not newest.stat().st_size:  # emptied the last time, and not made again yet
+                raise MissedError
             _damage(newest, numbers)
         finally:
             _send(process.pid, signal.SIGKILL)

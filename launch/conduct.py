@@ -7,9 +7,11 @@ import sys
 import time
 from collections.abc import Mapping
 
+from otc_dist import checkpoint
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
 from otc_dist.datasets.card import FILE_NAME as CARD
+from otc_dist.errors import UserError
 
 from . import descriptions
 from .board import Board
@@ -54,6 +56,9 @@ def conduct(plan: Plan, record: RunRecord) -> int:
                     shutil.copyfile(plan.data_folder / CARD, plan.folder.dataset_card)
                 with open_view(title) as view:
                     _run(plan, record, supervisor, signals, view)
+                    if plan.place.role == "all" and (damage := _discard_damaged(plan)):
+                        view.say(f"{damage}; it and what follows are made again")
+                        _run(plan, record, supervisor, signals, view)
                 record.moved_to("finished", plan.folder)
                 _complete(plan, plan.conclusions, supervisor, signals)
             if plan.conclusions:
@@ -124,6 +129,27 @@ def _run(
                 view.say(f"{names} did not end {FAREWELL:.0f} s after the host: stopped")
                 supervisor.stop()
                 return
+
+
+def _discard_damaged(plan: Plan) -> str:
+    """Delete each learner's checkpoints from a damaged one on; what is wrong with it, if one is.
+
+    Learners do not read what they have written, so nobody else would notice.
+    """
+    found = ""
+    for agent in plan.learners:
+        paths = [
+            plan.folder.checkpoint(agent, k) for k in range(plan.description.deployment.count + 1)
+        ]
+        for index, path in enumerate(paths):
+            try:
+                checkpoint.read(path)
+            except UserError as error:
+                found = found or str(error).removesuffix("; delete it")
+                for later in paths[index:]:
+                    later.unlink(missing_ok=True)
+                break
+    return found
 
 
 def _explain(end: End, restarts: int) -> None:

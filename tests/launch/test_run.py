@@ -69,6 +69,22 @@ def test_ctrl_c_leaves_no_process_and_resume_ends_the_same(
     same(folder, finished[0])
 
 
+def test_a_checkpoint_that_the_disk_damages_unseen_is_made_again(
+    finished: tuple[RunFolder, Launcher],
+    launch: Launch,
+    tmp_path: Path,
+    tiny_flags: tuple[str, ...],
+) -> None:
+    """The learner goes on from what it holds, and does not read what it wrote."""
+    folder = RunFolder(tmp_path / "run")
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
+    launcher.read_until(lambda line: line.startswith("host: deployment 2"))
+    folder.checkpoint("agent_1", 1).write_bytes(b"")
+    assert launcher.finish() == 0, launcher.text
+    assert "checkpoint_01.safetensors is damaged" in launcher.text
+    same(folder, finished[0])
+
+
 def status_of(run: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     """What `launch status` tells programs."""
     capsys.readouterr()
