@@ -36,6 +36,7 @@ def configuration(mode: str, maximum_payload: int, settings: Mapping[str, object
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,  # milliseconds; a router otherwise waits 0.5 s to be discovered
+        "timestamping/enabled": False,  # a router's default; nobody reads them
         "transport/shared_memory/enabled": False,
         # Where one side does not want a quick link, there is none: they agree on an ordinary one.
         "transport/unicast/lowlatency": maximum_payload <= QUICK_PAYLOAD,
