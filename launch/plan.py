@@ -104,7 +104,7 @@ class Plan:
     def lines(self) -> Iterator[str]:
         """The plan for people."""
         d = self.description
-        yield f"{d.name}: {d.summary}" if d.summary else d.name
+        yield f"{d.name}: {d.heading}"
         yield f"run folder   {self.folder.root}"
         yield f"data         {d.dataset.name}, {d.dataset.transitions:,} transitions an agent"
         for agent in self.learners:

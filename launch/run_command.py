@@ -36,7 +36,7 @@ def main(argv: list[str]) -> int:
         shipped = descriptions.shipped()
         width = max(map(len, shipped))
         for name, path in shipped.items():
-            print(f"{name:{width}} {Description.load(path).summary}")
+            print(f"{name:{width}} {Description.load(path).heading}")
         return 0
     try:
         if arguments.resume is not None:

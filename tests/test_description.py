@@ -149,11 +149,28 @@ def test_a_task_for_any_number_of_agents() -> None:
     assert (four.env.id, four.dataset.name) == ("flock-4", "flock-4/random")
     six = four.with_assignments("env.agents=6")
     assert (six.env.id, six.dataset.name) == ("flock-6", "flock-6/random")
+    three = Description.build(data, ["env.agents=6", "dataset.name=flock-3/random"])
+    assert three.dataset.name == "flock-3/random"  # as it was asked for: refused, not replaced
     with pytest.raises(UserError, match=r"env.agents is not for hopper-3x1"):
         minimal("env.agents=4")
     with pytest.raises(UserError, match=r"env.agents: input should be greater than 0"):
         four.with_assignments("env.agents=0")
     assert Description.build(tomllib.loads(six.to_toml())) == six
+
+
+def test_a_summary_is_not_kept_for_something_else() -> None:
+    data = {
+        "name": "x",
+        "summary": "two of a flock",
+        "env": {"id": "flock-2"},
+        "dataset": {"name": "random"},
+    }
+    assert Description.build(data, ["sampling.alpha=2.0"]).heading == "two of a flock"
+    three = Description.build(data, ["env.agents=3"])
+    assert three.heading == "flock-3/random: bcq tuned by OTC with the embedding distance"
+    uniform = Description.build(data, ["sampling.name=uniform"])
+    assert uniform.heading == "flock-2/random: bcq tuned by uniform sampling"
+    assert Description.build(data, ["env.agents=3", "summary=mine"]).heading == "mine"
 
 
 def leaves(value: object, path: tuple[str, ...] = ()) -> list[tuple[str, ...]]:

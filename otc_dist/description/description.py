@@ -29,6 +29,16 @@ from otc_dist.description.sections import (
 )
 from otc_dist.errors import UserError
 
+# What a summary speaks of.
+TOLD = (
+    ("env", "id"),
+    ("env", "agents"),
+    ("dataset", "name"),
+    ("algorithm", "name"),
+    ("sampling", "name"),
+    ("sampling", "distance"),
+)
+
 
 class Description(Section):
     """A whole run. `launch/*.toml` are descriptions; the run folder keeps the resolved one."""
@@ -57,18 +67,18 @@ class Description(Section):
         env, dataset = data.get("env"), data.get("dataset")
         if not isinstance(env, dict) or not isinstance(env.get("id"), str):
             return data
-        old = new = env["id"]
+        whole = env["id"]
         if isinstance(agents := env.get("agents"), int) and agents > 0:
-            new, changed = re.subn(r"-\d+$", f"-{agents}", old)
+            whole, changed = re.subn(r"-\d+$", f"-{agents}", whole)
             if not changed:
-                raise ValueError(f"env.agents is not for {old}, whose number of agents is its own")
-            env = {**env, "id": new, "agents": None}
+                raise ValueError(
+                    f"env.agents is not for {whole}, whose number of agents is its own"
+                )
+            env = {**env, "id": whole, "agents": None}
         data = {**data, "env": env}
-        if isinstance(dataset, dict) and isinstance(name := dataset.get("name"), str):
-            whole = name if "/" in name else f"{new}/{name}"
-            if whole.startswith(f"{old}/"):
-                whole = new + whole.removeprefix(old)
-            data["dataset"] = {**dataset, "name": whole}
+        level = dataset.get("name") if isinstance(dataset, dict) else None
+        if isinstance(dataset, dict) and isinstance(level, str) and "/" not in level:
+            data["dataset"] = {**dataset, "name": f"{whole}/{level}"}
         return data
 
     @field_validator("algorithm", mode="before")
@@ -124,6 +134,8 @@ class Description(Section):
         merged: dict[str, object] = dict(data)
         for assignment in assignments:
             assign(merged, assignment)
+        if merged.get("summary") == data.get("summary") and _told(merged) != _told(data):
+            merged["summary"] = ""  # it tells of what it was written for
         try:
             return cls.model_validate(merged)
         except ValidationError as error:
@@ -132,12 +144,24 @@ class Description(Section):
     def with_assignments(self, *assignments: str) -> Self:
         """A copy with `section.key=value` assignments applied; errors as in `load`.
 
-        With another `algorithm.name` the section keeps what is not the old algorithm's default.
+        With another `algorithm.name` the section keeps what is not the old algorithm's default;
+        with another environment the data set is the same level of it.
         """
         data = self.model_dump(mode="json")
+        data["dataset"]["name"] = self.dataset.name.removeprefix(f"{self.env.id}/")
         changed = self.algorithm.model_dump(mode="json", exclude_defaults=True)
         data["algorithm"] = {"name": self.algorithm.name, **changed}
         return self.build(data, assignments)
+
+    @property
+    def heading(self) -> str:
+        """The summary, or the same told by the names of the settings."""
+        sampling = self.sampling
+        tuned = f"OTC with the {sampling.distance} distance" if sampling.name == "otc" else ""
+        return self.summary or (
+            f"{self.dataset.name}: {self.algorithm.name} tuned by"
+            f" {tuned or sampling.name + ' sampling'}"
+        )
 
     def progress(self, deployment: int) -> float:
         """The share of the deployments gone in deployment and evaluation k, from 0 to 1."""
@@ -166,6 +190,12 @@ class Description(Section):
 def progress(deployment: int, count: int) -> float:
     """The share of `count` deployments gone in deployment and evaluation k, from 0 to 1."""
     return max(deployment - 1, 0) / max(count - 1, 1)
+
+
+def _told(data: dict[str, object]) -> list[object]:
+    """The values of `TOLD`, None where a section or a key is missing."""
+    sections = [(data.get(section), key) for section, key in TOLD]
+    return [section.get(key) if isinstance(section, dict) else None for section, key in sections]
 
 
 def _hash(text: str) -> str:

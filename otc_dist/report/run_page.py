@@ -22,7 +22,7 @@ def render(run: RunData) -> str:
     lead = " · ".join(
         part
         for part in (
-            d.summary,
+            d.heading,
             f"seed {d.seed}",
             str(run.record.get("run") or run.folder.root.name),
             _moment(run.record.get("started")),

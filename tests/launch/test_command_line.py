@@ -32,7 +32,10 @@ SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
         (["3agent_hopper", "--set", "sampling.alpha=-1"], "sampling.alpha"),
         (["3agent_hopper", "--set", "env.id=hopper-3x2"], "hopper-3x1"),
         (["3agent_hopper", "--set", "dataset.name=hopper-3x1/medum"], "hopper-3x1/medium"),
-        (["3agent_hopper", "--set", "env.id=walker2d-2x3"], "is not of the environment"),
+        (
+            ["2agent_walker2d", "--set", "dataset.name=hopper-3x1/medium-replay"],
+            "is not of the environment",
+        ),
         (["3agent_hopper", "--set", "engine.name=gpu"], "engine.name"),
         (["5m_vs_6m", "--set", "algorithm.name=bcq"], "use 'discrete-cql'"),
         (["5m_vs_6m", "--set", "algorithm.name=bremen", "--set", "sampling.name=uniform"], "use"),
