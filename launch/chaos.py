@@ -59,13 +59,16 @@ def main(argv: list[str]) -> int:
     """Returns 0 if every run ended as the undisturbed one.
 
     Raises:
-        UserError: an unknown fault.
+        UserError: an unknown fault, or no folder can be made at --out.
     """
     arguments = _parser().parse_args(argv)
     wanted = _wanted(arguments.faults)
     chaos_arena.enter()
     out: Path = (arguments.out or Path(tempfile.mkdtemp(prefix="otc-chaos-"))).resolve()
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make the folder {out}: {error.strerror}") from None
     start = time.monotonic()
     with chaos_arena.prepared(out) as arena:
         place = Place(out, arena)

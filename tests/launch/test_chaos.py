@@ -1,5 +1,7 @@
 """A short form of `launch chaos`: faults of several kinds strike one run, which ends the same."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -18,13 +20,30 @@ def test_a_mistake_is_one_line(faults: list[str], says: str) -> None:
     assert says in str(caught.value)
 
 
-@pytest.mark.slow
-def test_whatever_strikes_the_run_ends_with_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_folder_that_cannot_be_made_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("otc_dist.launch.chaos_arena.enter", lambda: None)  # it would leave pytest
-    assert main(["chaos", "any=2", "--out", str(tmp_path)]) == 0
-    fault, struck, runs, identical, *_ = capsys.readouterr().out.splitlines()[-1].split()
-    assert (fault, struck) == ("any", "2")
-    assert runs == identical
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match="cannot make the folder .*/file/out"):
+        main(["chaos", "--out", str(tmp_path / "file" / "out")])
+
+
+@pytest.mark.slow
+def test_whatever_strikes_the_run_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    """Its kinds that need namespaces are told as left out where there are none."""
+    faults = ("kill-router=1", "fill-disk=1", "lose-5%=1", "any=2")
+    done = subprocess.run(
+        [sys.executable, "-m", "otc_dist.launch", "chaos", *faults, "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    for fault, line in zip(faults, done.stdout.splitlines()[-len(faults) :], strict=True):
+        name, count = fault.split("=")
+        assert line.split()[0] == name
+        if "left out" not in line:
+            _, struck, runs, identical, *_ = line.split()
+            assert (struck, runs) == (count, identical)
     assert not (tmp_path / "wrong").exists()
