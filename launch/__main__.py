@@ -2,7 +2,7 @@
 
 import importlib
 
-from otc_dist.errors import run_main
+from otc_dist.errors import run_main, unknown
 
 # Command -> the module beside this one whose `main(argv)` it is; imported only when asked for.
 COMMANDS = {
@@ -17,6 +17,9 @@ COMMANDS = {
 def main(argv: list[str]) -> int:
     """Run a command; returns the exit status. Raises UserError for the user's mistakes."""
     command = argv[0] if argv and argv[0] in COMMANDS else "run"
+    words = argv[:2]
+    if len(words) == 2 and words[0] not in COMMANDS and not any(w.startswith("-") for w in words):
+        raise unknown("command", argv[0], COMMANDS)  # a description stands alone
     arguments = argv[1:] if argv and argv[0] == command else argv
     status: int = importlib.import_module(COMMANDS[command], __package__).main(arguments)
     return status

@@ -126,7 +126,7 @@ class Health:
         """Seconds until it is to be started again; None if that has been tried often enough."""
         life = self.lives[end.process]
         life.last_end = end.manner
-        if clock - life.born >= LASTING:
+        if life.moved - life.born >= LASTING:  # not if it only waited for so long
             life.vain = 0
         if life.vain == LIMIT:
             return None
@@ -134,8 +134,10 @@ class Health:
         life.vain += 1
         life.restarts += 1
         life.enter("waiting", clock)
+        said = "".join(f" ({line})" for line in end.last_lines(1))
         self.events.append(
-            f"{end.process}: {end.manner}; starts again in {delay:g} s ({life.vain} of {LIMIT})"
+            f"{end.process}: {end.manner}{said}; starts again in {delay:g} s"
+            f" ({life.vain} of {LIMIT})"
         )
         return delay
 

@@ -37,6 +37,8 @@ def main(argv: list[str]) -> int:
     started = descriptions.load(arguments.description, (), None, quick)
     default = Path("runs") / f"compare-{started.name}{'-quick' if quick else ''}"
     folder = ComparisonFolder((arguments.checkpoints or default).resolve())
+    if arguments.checkpoints and not folder.root.is_dir():
+        raise UserError(f"there is no folder {folder.root}; leave --checkpoints out to begin anew")
     if folder.description.exists():
         base = Description.load(folder.description)
         if base.name != started.name:
@@ -83,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         metavar="DIR",
         help="a comparison's folder: its offline policies are used, and missing ones are trained"
-        " there (default: runs/compare-NAME)",
+        " there, which takes as long as offline training (default: runs/compare-NAME)",
     )
     parser.add_argument(
         "--set",

@@ -94,7 +94,7 @@ MISTAKES = {
     "seed=-1": "seed: input should be greater than or equal to 0, not -1",
     "algorithm.hidden=[64, 0]": "algorithm.hidden.1: input should be greater than 0, not 0",
     "algorithm.batch_size=513": "must not exceed sampling.candidates (512)",
-    "sampling=3": "sampling: input should be a valid dictionary",
+    "sampling=3": "sampling is a section: write sampling.KEY",
     "name.first=1": "'name' is a value, not a section",
     "sampling.alpha": "write section.key=value, like sampling.alpha=0.5",
     "=3": "write section.key=value",

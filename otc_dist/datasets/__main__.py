@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("name", metavar="NAME", help="for example hopper-3x1/medium-replay")
         command.add_argument(
             "--transitions",
-            type=int,
+            type=_size,
             default=0,
             metavar="N",
             help="size, if not the usual one, which `list` tells",
@@ -115,6 +115,13 @@ def _parser() -> argparse.ArgumentParser:
         "FILE names",
     )
     return parser
+
+
+def _size(text: str) -> int:
+    """The value of --transitions."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"ask for 1 or more, not {text}")
+    return int(text)
 
 
 def _list() -> None:

@@ -36,6 +36,9 @@ def import_files(
     """
     if all(map(is_log, sources)):
         return import_logs(sources, level, env_id, report)
+    for source in sources:
+        if not source.exists():
+            raise UserError(f"there is no {source}")
     if len(sources) == 1 and is_agent_file(sources[0]):
         return import_agent_file(sources[0])
     first = next(source for source in sources if not is_log(source))

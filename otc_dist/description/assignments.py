@@ -51,6 +51,10 @@ def explain(root: type[BaseModel], problem: ErrorDetails, source: str) -> UserEr
         return UserError(f"{source}: {unknown(where + '.name', str(context['tag']), known)}")
     if problem["type"] == "missing":
         return UserError(f"{source}: {where} is missing; every description needs it")
+    if problem["type"] in ("model_type", "model_attributes_type"):
+        return UserError(f"{source}: {where} is a section: write {where}.KEY")
+    if problem["type"] == "tuple_type":
+        return UserError(f"{source}: {where} must be a list in brackets, not {problem['input']!r}")
     message = problem["msg"].removeprefix("Value error, ")
     given = f", not {problem['input']!r}" if key and problem["type"] != "value_error" else ""
     message = message[0].lower() + message[1:]

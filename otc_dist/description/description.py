@@ -139,7 +139,17 @@ class Description(Section):
         try:
             return cls.model_validate(merged)
         except ValidationError as error:
+            if merged != data and cls._is_valid(data):
+                source = "command line"
             raise explain(cls, error.errors()[0], source) from None
+
+    @classmethod
+    def _is_valid(cls, data: dict[str, object]) -> bool:
+        try:
+            cls.model_validate(data)
+        except ValidationError:
+            return False
+        return True
 
     def with_assignments(self, *assignments: str) -> Self:
         """A copy with `section.key=value` assignments applied; errors as in `load`.

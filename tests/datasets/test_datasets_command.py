@@ -57,7 +57,7 @@ def test_a_file_is_imported_and_then_known(cache: Path) -> None:
     ("arguments", "message"),
     [
         (("make", "hopper-3x1/medum"), "did you mean 'hopper-3x1/medium'?"),
-        (("make", "hopper-3x1/random", "--transitions", "-5"), "-5 transitions"),
+        (("make", "hopper-3x1/random", "--transitions", "-5"), "ask for 1 or more, not -5"),
         (("show", "walker2d-2x3/medium"), "make walker2d-2x3/medium"),
         (("import", "absent.hdf5", "--name", "x"), "absent.hdf5"),
         (("import", ".", "--name", "x", "--env", "hoper-3x1"), "hdf5"),

@@ -29,7 +29,9 @@ SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
         (["3agent_hopper", "--seed", "-1"], "seed"),
         (["3agent_hopper", "--set", "sampling.alfa=1"], "did you mean 'sampling.alpha'?"),
         (["3agent_hopper", "--set", "sampling.alpha"], "section.key=value"),
-        (["3agent_hopper", "--set", "sampling.alpha=-1"], "sampling.alpha"),
+        (["3agent_hopper", "--set", "sampling=1"], "sampling is a section: write sampling.KEY"),
+        (["3agent_hopper", "--set", "algorithm.hidden=64"], "must be a list in brackets, not 64"),
+        (["3agent_hopper", "--set", "sampling.alpha=-1"], "command line: sampling.alpha"),
         (["3agent_hopper", "--set", "env.id=hopper-3x2"], "hopper-3x1"),
         (["3agent_hopper", "--set", "dataset.name=hopper-3x1/medum"], "hopper-3x1/medium"),
         (
@@ -59,6 +61,11 @@ def test_a_mistake_is_one_line(
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []  # nothing was begun
+
+
+def test_a_mistyped_command_is_no_description() -> None:
+    with pytest.raises(UserError, match="unknown command 'compar'; did you mean 'compare'"):
+        main(["compar", "3agent_hopper"])
 
 
 def test_bad_toml_is_one_line(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """What tokens, statuses and ends say of processes: who is well, who is lost, who starts again."""
 
+from pathlib import Path
+
 import pytest
 
 from otc_dist.bus.messages import Status
@@ -114,7 +116,7 @@ def test_delays_double_and_end_after_the_limit(health: Health) -> None:
     assert health.lives["agent_0"].last_end == "was killed by SIGKILL"
 
 
-def test_progress_or_a_minute_of_life_make_the_next_restart_the_first(health: Health) -> None:
+def test_progress_or_a_minute_of_work_make_the_next_restart_the_first(health: Health) -> None:
     health.died(KILLED["agent_0"], 1.0)
     health.started("agent_0", 200, 1.0)
     assert health.died(KILLED["agent_0"], 2.0) == 2 * FIRST_DELAY
@@ -122,7 +124,26 @@ def test_progress_or_a_minute_of_life_make_the_next_restart_the_first(health: He
     health.take(Status("agent_0", "offline", 0, 100, 1000), 3.0)
     assert health.died(KILLED["agent_0"], 4.0) == FIRST_DELAY
     health.started("agent_0", 202, 4.0)
-    assert health.died(KILLED["agent_0"], 4.0 + LASTING) == FIRST_DELAY
+    health.take(Status("agent_0", "offline", 0, 50, 1000), 4.0 + LASTING)  # behind, yet at work
+    assert health.died(KILLED["agent_0"], 5.0 + LASTING) == FIRST_DELAY
+
+
+def test_a_minute_of_waiting_is_no_work(health: Health) -> None:
+    """The host ends when an answer is overdue, which takes longer than a minute."""
+    clock, delays = 0.0, []
+    for _ in range(LIMIT + 1):
+        health.started("agent_0", 200, clock)
+        health.take(Status("agent_0", "offline", 0, 50, 1000), clock + 1.0)
+        clock += 2 * LASTING
+        delays.append(health.died(KILLED["agent_0"], clock))
+    assert delays[-1] is None
+
+
+def test_a_restart_tells_what_the_process_said_last(health: Health, tmp_path: Path) -> None:
+    (tmp_path / "log").write_text("all is well\nno answer from agent_1 for 120 s\n")
+    health.died(End("agent_0", 1, tmp_path / "log"), 1.0)
+    (event,) = health.events
+    assert "exited with status 1 (no answer from agent_1 for 120 s); starts again" in event
 
 
 def test_catching_up_is_no_progress(health: Health) -> None:
