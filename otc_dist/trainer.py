@@ -1,5 +1,6 @@
 """A base algorithm fed by a sampler: what one phase of training does, and its random numbers."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from torch import Tensor
 from otc_dist.algorithms.draws import Draw, Draws, draw
 from otc_dist.algorithms.interface import Algorithm, Improving, State, unpack
 from otc_dist.engine import Engine, Update
+from otc_dist.errors import UserError
 from otc_dist.otc.samplers import Data, Extent, Sampler
 from otc_dist.training import BLOCK, DrawBlock, train
 from otc_dist.transitions import RowLayout
@@ -65,10 +67,19 @@ class Trainer:
         Args:
             on_block: called after each block of updates, and after each improvement, with the
                 state, how many of both are done, and the block's mean metrics by name.
+
+        Raises:
+            UserError: a metric is not finite: training has diverged.
         """
         names = (*self._algorithm.metric_names, "guarded")
 
         def on_updates(state: State, done: int, metrics: list[float]) -> None:
+            for name, value in zip(names, metrics, strict=True):
+                if not math.isfinite(value):
+                    raise UserError(
+                        f"{phase.purpose} training diverged before update {done:,}: {name} is"
+                        f" {value}; lower the learning rates (algorithm.*) or look at the data"
+                    )
             on_block(state, done, dict(zip(names, metrics, strict=True)))
 
         update = self._engine.record(self._update(data))

@@ -47,6 +47,12 @@ def finished(learner: Learner, path: Path) -> bytes:
     return path.read_bytes()
 
 
+def test_training_that_diverges_is_one_line() -> None:
+    learner = brain("algorithm.critic_learning_rate=1e30", "algorithm.actor_learning_rate=1e30")
+    with pytest.raises(UserError, match=r"offline training diverged before update \d+: \w+ is nan"):
+        learner.pretrain(silent, unsaved)
+
+
 @EACH_ARM
 def test_two_runs_give_the_same_bytes(arm: str, tmp_path: Path) -> None:
     first, second = (finished(brain(*ARMS[arm]), tmp_path / name) for name in "ab")

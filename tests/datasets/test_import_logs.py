@@ -211,6 +211,8 @@ def test_bad_values_and_what_is_no_log_are_refused(
     assert "is not an MCAP file" in refusal(text)
     assert "cannot be read" in refusal(tmp_path / "deployments" / "*.mcap")
     recording = tmp_path / "hopper.hdf5"
+    assert "there is no " in refusal(recording)
+    recording.touch()
     assert "import it alone" in refusal(paths[0], recording, name="x")
     assert "--name" in refusal(recording)
     assert "no whole step" in refusal(log_without_steps(tmp_path / "empty.mcap"))
