@@ -16,7 +16,7 @@ from otc_dist.errors import UserError
 from . import descriptions
 from .board import Board
 from .closing import closing_lines
-from .crew import Crew, DiedError
+from .crew import MISTAKE, Crew, DiedError
 from .forecast import Remaining
 from .observer import Sign, observing
 from .plan import Plan
@@ -72,9 +72,10 @@ def conduct(plan: Plan, record: RunRecord) -> int:
             return 128 + signals.stop
         except DiedError as died:
             record.moved_to("failed", plan.folder)
-            _explain(died.end, died.restarts)
+            if not died.told:
+                _explain(died.end, died.restarts)
             print(go_on)
-            return 2 if died.end.status == 2 else 1
+            return MISTAKE if died.end.status == MISTAKE else 1
     return 0
 
 
@@ -89,8 +90,8 @@ def _complete(
                 raise _StoppedError
             signals.wait(REFRESH)
             for end in supervisor.ended():
-                if end.status != 0:
-                    raise DiedError(end)
+                if end.status != 0:  # its standard error was shown as it came
+                    raise DiedError(end, told=end.status == MISTAKE)
 
 
 def _run(

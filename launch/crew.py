@@ -13,11 +13,14 @@ MISTAKE = 2  # exit status of a process that met what only the user can mend
 
 
 class DiedError(Exception):
-    """A process ended, and starting it again is of no use."""
+    """A process ended, and starting it again is of no use.
 
-    def __init__(self, end: End, restarts: int = 0) -> None:
+    `told`: the user has seen the line in which the process itself said why.
+    """
+
+    def __init__(self, end: End, restarts: int = 0, told: bool = False) -> None:
         super().__init__(end.process)
-        self.end, self.restarts = end, restarts
+        self.end, self.restarts, self.told = end, restarts, told
 
 
 class Crew:

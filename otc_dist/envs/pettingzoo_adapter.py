@@ -22,9 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete, flatdim, flatten
+from gymnasium.spaces import Box, Discrete, flatdim
 from numpy.typing import NDArray
 
+from otc_dist.envs import pettingzoo_checks as checks
 from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec, TeamSpec
@@ -50,8 +51,9 @@ def team_spec(env_id: str) -> TeamSpec:
     """
     env = _made(env_id)
     try:
-        names = tuple(str(name) for name in env.possible_agents)
-        agents = tuple(_agent(env_id, env, name) for name in names)
+        with checks.in_users_code(env_id, "asked for its agents and their spaces, it"):
+            names = tuple(str(name) for name in env.possible_agents)
+            agents = tuple(_agent(env_id, env, name) for name in names)
         limit = int(getattr(env.unwrapped, "max_cycles", MAX_STEPS))
     finally:
         env.close()
@@ -91,7 +93,7 @@ def _made(env_id: str) -> Any:  # PettingZoo is untyped
             " install it"
         ) from None
     except Exception as error:  # whatever the user's code raises
-        raise UserError(f"{env_id} cannot be made: {type(error).__name__}: {error}") from error
+        raise UserError(f"{env_id} cannot be made: {checks.described(error)}") from error
     if not hasattr(made, "possible_agents") or hasattr(made, "agent_iter"):
         raise UserError(
             f"{env_id} gave {type(made).__name__}, which is no ParallelEnv of PettingZoo with"
@@ -121,8 +123,8 @@ class PettingZooEnv:
     """E copies of the user's environment, a `BatchedEnv`. See the module.
 
     Raises:
-        UserError: as `team_spec`; when stepped, an agent that leaves before the others, or a
-            number that is not finite.
+        UserError: as `team_spec`; when played, what the user's code raises, an agent that leaves
+            before the others, a number that is not finite, or what does not fit the spaces.
         ValueError: fewer than one copy.
     """
 
@@ -144,22 +146,26 @@ class PettingZooEnv:
         """See `BatchedEnv.reset`."""
         for copy, seed in zip(which.tolist(), seeds.tolist(), strict=True):
             # Many environments pass it to numpy.random.seed, which takes 32 bits.
-            seen, infos = self._envs[copy].reset(seed=seed % 2**32)
+            with checks.in_users_code(self.spec.env_id, "reset"):
+                given = self._envs[copy].reset(seed=seed % 2**32)
+            seen, infos = checks.returned(self.spec.env_id, "reset", given)
             self._elapsed[copy] = 0
-            self._see(copy, seen, infos)
+            self._see(copy, seen, infos, last=False)
 
-    def _see(self, copy: int, seen: Mapping[str, Any], infos: Mapping[str, Any]) -> None:
-        env = self._envs[copy]
+    def _see(
+        self, copy: int, seen: Mapping[str, Any], infos: Mapping[str, Any], last: bool
+    ) -> None:
+        env, env_id = self._envs[copy], self.spec.env_id
         for agent, rows in zip(self.spec.agents, self._seen, strict=True):
             if agent.name not in seen:
                 raise self._gone(agent.name)
-            size = agent.observation_size - agent.choices
-            found = flatten(env.observation_space(agent.name), seen[agent.name])
-            rows[copy, :size] = np.asarray(found, np.float32)
+            size, space = agent.observation_size - agent.choices, env.observation_space(agent.name)
+            rows[copy, :size] = checks.observation(env_id, agent.name, space, seen[agent.name])
             if agent.choices:
-                rows[copy, size:] = infos.get(agent.name, {}).get("action_mask", 1)
+                info = infos.get(agent.name)
+                rows[copy, size:] = checks.mask(env_id, agent.name, info, agent.choices, last)
             if not all_finite(rows[copy]):
-                raise UserError(f"{self.spec.env_id}: {agent.name} observes NaN or infinity")
+                raise UserError(f"{env_id}: {agent.name} observes NaN or infinity")
 
     def _gone(self, name: str) -> UserError:
         return UserError(
@@ -180,15 +186,20 @@ class PettingZooEnv:
             wanted = {
                 name: order[copy] for name, order in zip(self.spec.names, orders, strict=True)
             }
-            seen, earned, over, cut, infos = env.step(wanted)
+            with checks.in_users_code(self.spec.env_id, "step"):
+                given = env.step(wanted)
+            seen, earned, over, cut, infos = checks.returned(self.spec.env_id, "step", given)
             self._elapsed[copy] += 1
-            rewards[:, copy] = [float(earned.get(name, 0.0)) for name in self.spec.names]
+            rewards[:, copy] = [
+                checks.reward(self.spec.env_id, name, earned.get(name, 0.0))
+                for name in self.spec.names
+            ]
             terminated[copy] = self._all(over)
             truncated[copy] = not terminated[copy] and (
                 self._elapsed[copy] >= self.spec.max_episode_steps
-                or self._all({name: over[name] or cut[name] for name in over})
+                or self._all({name: over[name] or cut.get(name, False) for name in over})
             )
-            self._see(copy, seen, infos)
+            self._see(copy, seen, infos, last=bool(terminated[copy]))
         if not all_finite(rewards):
             raise UserError(f"{self.spec.env_id} gave a reward that is NaN or infinite")
         return Outcome(tuple(rewards), terminated, truncated)

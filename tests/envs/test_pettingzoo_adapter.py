@@ -33,19 +33,24 @@ class Toy(ParallelEnv):
     def observation_space(self, agent): return self.seen
     def action_space(self, agent): return self.done
     def reset(self, seed=None, options=None):
+        {at_reset}
         self.agents, self.count = list(self.possible_agents), 0
         return self.look(), {{name: {{}} for name in self.agents}}
-    def look(self): return {{name: np.full(2, self.count, np.float32) for name in self.agents}}
+    def look(self): return {{name: {look} for name in self.agents}}
     def step(self, actions):
+        {before}
         self.count += 1
-        ended = {{name: self.leaves and name == "left" for name in self.agents}}
+        ended = {{name: name in self.leaves for name in self.agents}}
         names = self.agents
-        masks = {{name: {{"action_mask": np.array([1, self.count % 2, 1])}} for name in names}}
+        masks = {{name: {{"action_mask": {mask}}} for name in names}}
         no = dict.fromkeys(names, False)
+        {instead}
         return self.look(), dict.fromkeys(names, self.reward), ended, no, masks
 
 def parallel_env(): return Toy()
 """
+STEP = TOY.splitlines().index("    def step(self, actions):") + 1
+SEEN = "    def observation_space(self, agent): return self.seen"
 
 
 @pytest.fixture
@@ -64,10 +69,16 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def toy(
     seen: str = "Box(-1, 1, (2,))",
     done: str = "Box(-1, 1, (2,))",
-    leaves: bool = False,
+    leaves: str = "[]",
     reward: str = "1.0",
+    look: str = "np.full(2, self.count, np.float32)",
+    mask: str = "np.array([1, self.count % 2, 1])",
+    at_reset: str = "",
+    before: str = "",
+    instead: str = "",
 ) -> str:
-    return TOY.format(seen=seen, done=done, leaves=leaves, reward=reward)
+    """The toy's module. `at_reset`, `before` and `instead` are statements of reset and step."""
+    return TOY.format(**locals())
 
 
 def test_an_episode_is_the_environment_s_own(module) -> None:
@@ -156,17 +167,83 @@ def test_what_cannot_be_used_is_said_in_one_line(module, text: str, said: str) -
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (toy(leaves=True), "left is gone before the episode's end"),
+        (toy(leaves="['left']"), "left is gone before the episode's end"),
         (toy(reward="float('nan')"), "a reward that is NaN"),
+        (toy(reward="None"), "the reward of left is None; it must be a number"),
+        (
+            toy(instead="return self.look(), 1.0, False, {}"),
+            r"step gave \(dict, float, bool, dict\)",
+        ),
+        (toy(instead="return 3"), r"step gave \(int\); it must give 5 dictionaries"),
+        (
+            toy(look="np.zeros(2 + (self.count > 0))"),
+            r"left observes an array of shape \(3,\), float64; .* an array of shape \(2,\)$",
+        ),
+        (toy(look="[0.0] * (2 - (self.count > 0))"), r"left observes \[0.0\]; its observation_sp"),
+        (toy(look="np.zeros(2) if self.count < 1 else None"), "left observes None; its observ"),
+        (
+            toy(seen="Discrete(2)", look="3 * self.count"),
+            r"left observes 3; its observation_space says Discrete\(2\)$",
+        ),
+        (
+            toy(done="Discrete(3)", mask="np.ones(2, np.int8)"),
+            r"the action_mask of left is an array of shape \(2,\), int8; its 3 actions need an"
+            r" array of shape \(3,\)$",
+        ),
+        (toy(done="Discrete(3)", mask="'all'"), "the action_mask of left is 'all'; its 3 actions"),
+        (
+            toy(done="Discrete(3)", mask="np.zeros(3)"),
+            "the action_mask of left is all zero; at least one of its 3 actions must be available",
+        ),
     ],
 )
 def test_what_goes_wrong_while_it_is_played(module, text: str, said: str) -> None:
     env = registry.make(module(text), 1)
     env.reset(np.array([0]), np.array([0]))
-    with pytest.raises(UserError, match=said):
-        env.step([np.zeros((1, 2), np.float32)] * 2)
+    still = [np.zeros((1, agent.action_size), np.float32) for agent in env.spec.agents]
+    with pytest.raises(UserError, match=said) as raised:
+        env.step(still)
+    assert "\n" not in str(raised.value)
     with pytest.raises(UserError, match="cannot be set to a state"):
         env.set_state(env.state())
+
+
+def test_a_mask_may_be_all_zero_once_the_episode_has_terminated(module) -> None:
+    text = toy(done="Discrete(3)", mask="np.zeros(3)", leaves="['left', 'right']")
+    env = registry.make(module(text), 1)
+    env.reset(np.array([0]), np.array([0]))
+    assert env.step([np.zeros((1, 1), np.float32)] * 2).terminated[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (  # what fails is NumPy's code, but the mistake is where it was called
+            toy(before="np.linalg.inv(np.zeros((2, 2)))"),
+            f": step raised LinAlgError: Singular matrix (own.py:{STEP + 1})",
+        ),
+        (
+            toy(at_reset="raise ValueError('two\\nlines')"),
+            f": reset raised ValueError: two lines (own.py:{STEP - 4})",
+        ),
+        (
+            toy(seen="None").replace("return self.seen", "return self.sight"),
+            ": asked for its agents and their spaces, it raised AttributeError: 'Toy' object has"
+            f" no attribute 'sight' (own.py:{TOY.splitlines().index(SEEN) + 1})",
+        ),
+        ("def parallel_env():\n    raise KeyError", " cannot be made: KeyError (own.py:2)"),
+    ],
+)
+def test_what_it_raises_is_told_with_the_line_of_its_own_code(
+    module, tmp_path: Path, text: str, said: str
+) -> None:
+    env_id = module(text)
+    with pytest.raises(UserError) as raised:
+        env = registry.make(env_id, 1)
+        env.reset(np.array([0]), np.array([0]))
+        env.step([np.zeros((1, 2), np.float32)] * 2)
+    path = str(tmp_path / env_id.partition(":")[0])
+    assert str(raised.value) == env_id + said.replace("own", path)
 
 
 def test_its_random_data_name_the_module_they_were_made_with(module) -> None:
@@ -178,18 +255,47 @@ def test_its_random_data_name_the_module_they_were_made_with(module) -> None:
     }  # fmt: skip
 
 
+def launched(folder: Path, text: str, *flags: str) -> subprocess.CompletedProcess[str]:
+    """A run of the environment that a module of that text makes."""
+    (folder / "my_module.py").write_text(text)
+    command = [
+        *(sys.executable, "-m", "otc_dist.launch", "navigation", "--out", "run"),
+        *("--set", "env.id=my_module:parallel_env", *flags),
+    ]
+    return subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+@pytest.mark.slow
+def test_a_mistake_in_it_is_the_launcher_s_only_complaint(
+    tmp_path: Path, cache_folder: Path, tiny_flags: tuple[str, ...]
+) -> None:
+    ended = launched(tmp_path, toy(before="if self.count > 2: self.nothing"), *tiny_flags)
+    assert ended.returncode == 2
+    assert ended.stderr.splitlines() == [
+        "error: my_module:parallel_env: step raised AttributeError: 'Toy' object has no attribute"
+        f" 'nothing' ({tmp_path / 'my_module.py'}:{STEP + 1})"
+    ]
+    assert "resume with" in ended.stdout
+
+
+@pytest.mark.slow
+def test_what_dies_without_a_word_is_named_by_the_launcher(
+    tmp_path: Path, cache_folder: Path, tiny_flags: tuple[str, ...]
+) -> None:
+    ended = launched(tmp_path, toy(before="import os; os._exit(7)"), *tiny_flags)
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines() == [
+        "error: data exited with status 7; all others were stopped"
+    ]
+
+
 @pytest.mark.slow
 def test_it_is_tuned_through_the_launcher(
     tmp_path: Path, cache_folder: Path, tiny_flags: tuple[str, ...]
 ) -> None:
-    (tmp_path / "my_module.py").write_text(SPREAD.format(continuous=True))
-    command = [
-        *(sys.executable, "-m", "otc_dist.launch", "navigation", "--out", "run"),
-        *("--set", "env.id=my_module:parallel_env", *tiny_flags),
-    ]
-    ended = subprocess.run(
-        command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
-    )
+    ended = launched(tmp_path, SPREAD.format(continuous=True), *tiny_flags)
     assert ended.returncode == 0, ended.stderr
     assert "after deployment 2" in ended.stdout
     assert (tmp_path / "run/deployments/deployment_02.mcap").stat().st_size > 0
