@@ -4,11 +4,13 @@ A forecast, not a promise: machines differ by more than a factor of two. The liv
 it by how long the finished parts really took.
 """
 
+import math
 import os
 from dataclasses import dataclass
 
 from otc_dist.description import Description
 from otc_dist.description.algorithms import BremenSection
+from otc_dist.envs import registry
 from otc_dist.exploration import Schedule
 from otc_dist.spec import TeamSpec
 
@@ -65,7 +67,9 @@ def acting(description: Description, team: TeamSpec) -> float:
 
 def judging(description: Description, team: TeamSpec) -> float:
     """At most these seconds of one core for one agent's answers in one evaluation."""
-    return team.max_episode_steps * ACT / 1000 if description.evaluation.episodes else 0.0
+    episodes = description.evaluation.episodes
+    rounds = math.ceil(episodes / max(registry.affordable(team.env_id, episodes), 1))
+    return rounds * team.max_episode_steps * ACT / 1000
 
 
 def _trained(description: Description, updates: int, selection: float) -> float:

@@ -46,11 +46,12 @@ def own_transitions(steps: Sequence[JointStep], agent: int) -> Transitions:
 
 
 def evaluate(learners: Sequence[Learner], deployment: int) -> Rollout:
-    """Play greedy episodes of the team pi_k, one a copy; the rollout holds their returns."""
+    """Play greedy episodes of the team pi_k; the rollout holds their returns."""
     description = learners[0].description
-    progress = description.progress(deployment)
-    env = registry.make(description.env.id, description.evaluation.episodes, progress)
-    rollout = Rollout(env, description.seed, "evaluation", deployment)
+    progress, episodes = description.progress(deployment), description.evaluation.episodes
+    copies = registry.affordable(description.env.id, episodes)
+    env = registry.make(description.env.id, copies, progress)
+    rollout = Rollout(env, description.seed, "evaluation", deployment, episodes)
     while not rollout.finished:
         actions = [
             learner.act(observations, "evaluation", deployment, rollout.step)

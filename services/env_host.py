@@ -7,6 +7,7 @@ be killed at any moment: started again, it goes on where the log ends.
 import argparse
 import json
 import logging
+import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -87,21 +88,20 @@ class EnvHost:
             self._presence.wait_for_none(_FAREWELL)
 
     def _evaluate(self, k: int) -> None:
-        """Play each copy's first episode with pi_k, greedily, and write the returns."""
+        """Play the episodes that count with pi_k, greedily, and write their returns."""
         path, episodes = self._folder.evaluation(k), self._description.evaluation.episodes
         if episodes == 0 or path.exists():
             return
-        self._enter("evaluation", k, self._run.team.max_episode_steps)
-        env_id = self._run.team.env_id
-        env = registry.make(env_id, episodes, self._description.progress(k))
-        rollout = Rollout(env, self._description.seed, "evaluation", k)
+        env_id, copies = self._run.team.env_id, self._run.copies["evaluation"]
+        rounds = math.ceil(episodes / copies)
+        self._enter("evaluation", k, rounds * self._run.team.max_episode_steps)
+        env = registry.make(env_id, copies, self._description.progress(k))
+        rollout = Rollout(env, self._description.seed, "evaluation", k, episodes)
         policies: dict[str, str] = {}
-        seeds: list[int] = []
         while not rollout.finished:
             answers = self._ask("evaluation", k, rollout.step, rollout.observations, None)
             self._check_policies(policies, answers, f"evaluation {k}")
-            step = rollout.advance(_actions(answers), self._greedy)
-            seeds = seeds or step.episode_seeds.tolist()
+            rollout.advance(_actions(answers), self._greedy)
             self._step = rollout.step
         env.close()
         mean = sum(rollout.episode_returns) / episodes
@@ -109,7 +109,7 @@ class EnvHost:
             "evaluation": k,
             "env": env_id,
             "policies": policies,
-            "seeds": seeds,
+            "seeds": list(rollout.episode_seeds),
             "returns": list(rollout.episode_returns),
             "successes": None if rollout.successes is None else list(rollout.successes),
             "lengths": list(rollout.episode_lengths),

@@ -3,6 +3,7 @@
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.replies import RunSpec, history_rows
 from otc_dist.description import Description
+from otc_dist.envs import registry
 from otc_dist.spec import TeamSpec
 
 
@@ -10,7 +11,7 @@ def copies_by_phase(description: Description) -> dict[str, int]:
     """E, by phase."""
     return {
         "deployment": description.env.copies,
-        "evaluation": description.evaluation.episodes,
+        "evaluation": registry.affordable(description.env.id, description.evaluation.episodes),
         "done": 0,
     }
 

@@ -61,7 +61,8 @@ def generate(
     shares = parts(env_id, level, transitions)
     rows = Rows(team, views, transitions)
     for part in shares:
-        copies = max(1, min(_MAX_COPIES, (part.stop - part.start) // team.max_episode_steps))
+        most = registry.affordable(env_id, _MAX_COPIES)
+        copies = max(1, min(most, (part.stop - part.start) // team.max_episode_steps))
         key = (seed, source.seed_name(env_id), level, part.policy)
         now = _Copies(env_id, copies, views, source.behaviour(env_id, part.policy), key)
         _play(now, rows, part, report)
@@ -141,14 +142,14 @@ class _Copies:
         """Steps played of that episode; 0 if no copy plays it."""
         return int(self._time[self.episode == episode].sum())
 
-    def played(self, copy: int, terminated: bool) -> Played:
-        """A copy of what `copy` has played of its episode."""
-        length = int(self._time[copy])
+    def played(self, copy: int, terminated: bool, broken: bool = False) -> Played:
+        """A copy of what `copy` has played of its episode; a step that broke off is left out."""
+        length = int(self._time[copy]) - broken
         return Played(
             tuple(seen[copy, : length + 1].copy() for seen in self._seen),
             self._actions[copy, :length].copy(),
             self._rewards[copy, :length].copy(),
-            terminated,
+            terminated and not broken,
         )
 
 
@@ -161,7 +162,9 @@ def _play(now: _Copies, rows: Rows, part: Part, report: Report) -> None:
         outcome = now.step()
         which = np.flatnonzero(outcome.terminated | outcome.truncated)
         for copy in which.tolist():
-            ended[int(now.episode[copy])] = now.played(copy, bool(outcome.terminated[copy]))
+            terminated, truncated = bool(outcome.terminated[copy]), bool(outcome.truncated[copy])
+            played = now.played(copy, terminated, broken=terminated and truncated)
+            ended[int(now.episode[copy])] = played
         if len(which):
             now.start(which)
         while number in ended and filled < part.stop:

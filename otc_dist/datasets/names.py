@@ -30,6 +30,13 @@ class DatasetName:
             parsed = cls(env_id, level)
             if parsed.source or parsed.sizes():
                 return parsed
+            source = source_of(env_id)
+            if source and env_id not in registry.env_ids():  # no list has names of it to suggest
+                raise UserError(
+                    f"there is no data set {name}: of {env_id} only"
+                    f" {' and '.join(source.levels(env_id))} can be made; other data can be"
+                    " imported, see python -m otc_dist.datasets import --help"
+                )
         raise unknown("data set", name, map(str, known_names()))
 
     @property

@@ -1,28 +1,30 @@
 """Data of uniformly random policies, the only level of the particle tasks, with 10^6 transitions as
-in the paper, and of a user's own environment, whose speed nobody knows, with 10^5.
+in the paper, and of StarCraft II and a user's own environment, which may be slow, with 10^5.
 """
 
 from otc_dist.datasets.source import Behaviour, Uniform
-from otc_dist.envs import particle_family, pettingzoo_adapter, registry
+from otc_dist.envs import particle_family, pettingzoo_adapter, registry, smac_adapter
 
 LEVELS = ("random",)
 TRANSITIONS = 1_000_000
-OWN_TRANSITIONS = 100_000
+FOREIGN_TRANSITIONS = 100_000
+
+_FAMILIES = (particle_family, smac_adapter, pettingzoo_adapter)
 
 
 class RandomSource:
-    """The `Source` of the particle tasks and of the user's own."""
+    """The `Source` of the particle tasks, of StarCraft II and of the user's own."""
 
     packages: tuple[str, ...] = ()
 
     def offers(self, env_id: str) -> bool:
-        return particle_family.knows(env_id) or pettingzoo_adapter.knows(env_id)
+        return any(family.knows(env_id) for family in _FAMILIES)
 
     def levels(self, env_id: str) -> tuple[str, ...]:
         return LEVELS
 
     def usual_size(self, env_id: str, level: str) -> int:
-        return TRANSITIONS if particle_family.knows(env_id) else OWN_TRANSITIONS
+        return TRANSITIONS if particle_family.knows(env_id) else FOREIGN_TRANSITIONS
 
     def policies(self, env_id: str, level: str) -> tuple[str, ...]:
         return ("uniform",)
@@ -34,4 +36,6 @@ class RandomSource:
         return env_id
 
     def recipe(self, env_id: str, level: str) -> dict[str, str]:
+        if smac_adapter.knows(env_id):
+            return smac_adapter.versions()
         return pettingzoo_adapter.versions(env_id) if pettingzoo_adapter.knows(env_id) else {}

@@ -72,7 +72,12 @@ class Rows:
         return len(self._episodes)
 
     def write(self, start: int, stop: int, played: Played) -> int:
-        """Write one episode from row `start`, cut at row `stop`; returns the row behind it."""
+        """Write one episode from row `start`, cut at row `stop`; returns the row behind it.
+
+        An episode that broke off in its first step has none to write.
+        """
+        if not len(played.rewards):
+            return start
         episode = int(self._episodes[start - 1]) + 1 if start else 0
         length = min(len(played.rewards), stop - start)
         end = start + length

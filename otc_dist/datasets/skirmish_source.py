@@ -5,7 +5,7 @@
   which is nearly deterministic: the paper's behaviour policies are "very deterministic".
 - `random`: uniform among what is available; SMAX's only level, of which no policies are shipped.
 
-There are none of StarCraft II itself: its battles cannot be made again from a seed.
+StarCraft II's own random battles are `RandomSource`'s.
 """
 
 from collections.abc import Sequence

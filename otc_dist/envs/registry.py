@@ -27,6 +27,7 @@ class _Family:
     make: Callable[[str, int, float | None], BatchedEnv]
     reference_returns: Callable[[str], tuple[float, float]] | None = None  # random, expert team
     task: Callable[[str], Task] | None = None
+    most_copies: int | None = None  # of those that nobody asked for; None: they cost little
 
 
 def _make_robot(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
@@ -78,7 +79,13 @@ _FAMILIES = (
         skirmish.team_spec,
         _make_skirmish,
     ),
-    _Family((), smac_adapter.knows, smac_adapter.team_spec, _make_smac),
+    _Family(
+        (),
+        smac_adapter.knows,
+        smac_adapter.team_spec,
+        _make_smac,
+        most_copies=smac_adapter.MOST_COPIES,
+    ),
     _Family((), smax_adapter.knows, smax_adapter.team_spec, _make_smax),
     _Family((), pettingzoo_adapter.knows, pettingzoo_adapter.team_spec, _make_pettingzoo),
 )
@@ -118,6 +125,16 @@ def make(env_id: str, copies: int, progress: float | None = None) -> BatchedEnv:
         ValueError: fewer than one copy.
     """
     return _family(env_id).make(env_id, copies, progress)
+
+
+def affordable(env_id: str, copies: int) -> int:
+    """How many copies to make for work that would use `copies`: fewer where each is a costly one.
+
+    Of an environment that is not known here, all of them: its logs may be looked at.
+    """
+    limits = (family.most_copies for family in _FAMILIES if family.knows(env_id))
+    most = next(limits, None)
+    return copies if most is None else min(copies, most)
 
 
 def task(env_id: str) -> Task | None:

@@ -22,6 +22,7 @@ class Episode:
     number: int  # 0 for the copy's first episode of this rollout
     team_return: float  # mean over the agents of their sums of rewards
     length: int  # steps
+    seed: int
     success: bool | None = None  # whether it was won; None where the task has no such thing
 
 
@@ -31,21 +32,34 @@ class Rollout:
     A copy that ends is reset at once, to an episode whose seed is derived from (seed,
     deployment, copy, episode). In an evaluation it is derived from (seed, copy, episode): all
     deployments and all arms of a comparison are judged on the same episodes, and of each copy
-    only the first episode counts, because counting those that end in time favours short ones.
-    Episodes that the simulator broke off (see `Outcome`) never count: the next one does instead.
+    only so many count as were settled beforehand, because counting those that end in time favours
+    short ones. Episodes that the simulator broke off (see `Outcome`) never count: the next one
+    does instead.
 
     The same arguments and actions give the same bytes, so a rollout that was cut off is continued
     by advancing a new one with the logged actions.
+
+    Args:
+        episodes: how many an evaluation counts, spread evenly over the copies; None: one a copy.
     """
 
-    def __init__(self, env: BatchedEnv, seed: int, phase: Phase, deployment: int) -> None:
+    def __init__(
+        self,
+        env: BatchedEnv,
+        seed: int,
+        phase: Phase,
+        deployment: int,
+        episodes: int | None = None,
+    ) -> None:
         self._env, self._seed, self._phase, self._deployment = env, seed, phase, deployment
         self.step = 0
         self._numbers = np.zeros(env.copies, np.int64)  # which episode each copy is in
         self._seeds = np.zeros(env.copies, np.int64)
         self._returns = np.zeros(env.copies, np.float64)
         self._begun = np.zeros(env.copies, np.int64)  # each copy's episode: at which step
-        self._counted = np.zeros(env.copies, np.bool_)  # copies with an episode that counts
+        self._due = np.ones(env.copies, np.int64)  # each copy's episodes still to count
+        if episodes is not None:
+            self._due = (episodes + env.copies - 1 - np.arange(env.copies)) // env.copies
         self._episodes: list[Episode] = []
         self._reset(np.arange(env.copies))
         # What the agents act on now, N x (E, observation_size). Read only: steps share it.
@@ -99,15 +113,16 @@ class Rollout:
     def _finish(self, ended: NDArray[np.int64], broken: Bool) -> None:
         won = self._env.success if isinstance(self._env, Contest) else None
         for copy in ended.tolist():
-            if broken[copy] or (self._counted[copy] and self._phase == "evaluation"):
+            if broken[copy] or (self._due[copy] <= 0 and self._phase == "evaluation"):
                 continue
-            self._counted[copy] = True
+            self._due[copy] -= 1
             self._episodes.append(
                 Episode(
                     copy,
                     int(self._numbers[copy]),
                     float(self._returns[copy]),
                     self.step - int(self._begun[copy]),
+                    int(self._seeds[copy]),
                     None if won is None else bool(won[copy]),
                 )
             )
@@ -134,6 +149,11 @@ class Rollout:
         return tuple(episode.length for episode in self.episodes)
 
     @property
+    def episode_seeds(self) -> tuple[int, ...]:
+        """Seeds of `episodes`, in their order."""
+        return tuple(episode.seed for episode in self.episodes)
+
+    @property
     def successes(self) -> tuple[bool, ...] | None:
         """Which of `episodes` were won, in their order; None where the task has no such thing."""
         if not isinstance(self._env, Contest):
@@ -147,8 +167,8 @@ class Rollout:
 
     @property
     def finished(self) -> bool:
-        """Whether every copy has ended an episode that counts: an evaluation is complete."""
-        return bool(self._counted.all())
+        """Whether every copy has ended its episodes that count: an evaluation is complete."""
+        return bool((self._due <= 0).all())
 
 
 def _mean(rewards: Sequence[Float32]) -> Float32 | Float64:

@@ -5,7 +5,7 @@ them is imported before an environment is asked for. Observations are SMAC's, wi
 available actions behind them. What the game does not offer is not offered here:
 
 - A seed: an episode cannot be chosen. The game process of a copy is given its first episode's
-  seed, and goes on from there, so runs are not repeatable.
+  seed, and goes on from there, so neither runs nor data sets are repeatable.
 - A state to go back to: `state` is SMAC's global state for the log, `set_state` is refused, and a
   deployment that is cut off cannot be resumed.
 
@@ -31,6 +31,7 @@ from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.transitions import Bool, Float32, Float64
 
 PREFIX = "smac/"
+MOST_COPIES = 8  # games at a time where nobody says how many: each is a process of a gigabyte
 
 _PACKAGE = "pip install git+https://github.com/oxwhirl/smac.git (PyPI's `smac` is another package)"
 _GAME = "install StarCraft II and SMAC's maps as https://github.com/oxwhirl/smac says, set SC2PATH"
@@ -70,6 +71,17 @@ def team_spec(env_id: str) -> TeamSpec:
         state_size=int(info["state_shape"]),
         max_episode_steps=int(info["episode_limit"]),
     )
+
+
+def versions() -> dict[str, str]:
+    """Of the packages that drive the game."""
+    found = {}
+    for package in _DISTRIBUTIONS:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
 
 
 def _game(env_id: str, seed: int | None = None) -> Any:
@@ -112,12 +124,7 @@ class SmacEnv:
     @property
     def versions(self) -> Mapping[str, str]:
         """Of the game and of what drives it; the game's is known once it runs."""
-        found = {}
-        for package in _DISTRIBUTIONS:
-            try:
-                found[package] = version(package)
-            except PackageNotFoundError:
-                continue
+        found = versions()
         running = next((game for game in self._games if game is not None), None)
         if running is not None:
             found["StarCraft II"] = str(running._controller.ping().game_version)

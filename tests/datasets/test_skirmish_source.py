@@ -88,8 +88,17 @@ def test_random_actions_are_uniform_among_what_is_available():
 def test_names_of_adapted_maps_keep_their_slash():
     name = DatasetName.parse("smax/5m_vs_6m/random")
     assert (name.env_id, name.level) == ("smax/5m_vs_6m", "random")
-    with pytest.raises(UserError, match="unknown data set"):
-        DatasetName.parse("smac/5m_vs_6m/random")  # nobody makes it
+
+
+@pytest.mark.parametrize("env_id", ["smac/5m_vs_6m", "smax/5m_vs_6m", "my_module:parallel_env"])
+def test_of_adapted_environments_only_random_data_are_made(env_id):
+    assert DatasetName.parse(f"{env_id}/random").usual_size() > 0
+    with pytest.raises(UserError) as raised:
+        DatasetName.parse(f"{env_id}/medium")
+    assert str(raised.value) == (
+        f"there is no data set {env_id}/medium: of {env_id} only random can be made; other data"
+        " can be imported, see python -m otc_dist.datasets import --help"
+    )
 
 
 def test_the_usual_size_is_known():

@@ -6,7 +6,9 @@ available actions only, its infos, its limit, and its silent answer to an error 
 protocol. Its game is that every order but the no-op hurts each enemy by one point.
 """
 
+import os
 import sys
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import ClassVar
 
@@ -16,6 +18,7 @@ import pytest
 MAPS = {"5m_vs_6m": (5, 6, 70), "2m_vs_1z": (2, 1, 150), "3m": (3, 3, 4)}
 OBSERVATION, STATE, HEALTH = 7, 9, 10
 GAME_VERSION = "4.10.0"
+DIARY = "SMAC_STAND_IN_DIARY"  # names a file: at each start, how many games run in the process
 
 
 class SC2LaunchError(Exception):
@@ -26,6 +29,7 @@ class StarCraft2Env:
     """See the module. Class attributes steer what a test wants to happen."""
 
     made: ClassVar[list["StarCraft2Env"]] = []
+    running = 0  # games of this process that have not been closed
     missing = False  # no StarCraft II on this machine
     breaks_at: tuple[int, ...] = ()  # total steps at which the protocol fails, in each game
     kills_at: ClassVar[dict[int, int]] = {}  # step of an episode -> agent that dies
@@ -50,6 +54,10 @@ class StarCraft2Env:
     def _launch(self):
         if self.missing:
             raise SC2LaunchError("Expected to find StarCraft II installed at '/nowhere'.")
+        type(self).running += 1
+        if diary := os.environ.get(DIARY):
+            with Path(diary).open("a") as file:
+                print(self.running, file=file)
         self._controller = SimpleNamespace(ping=lambda: SimpleNamespace(game_version=GAME_VERSION))
 
     def reset(self):
@@ -109,6 +117,8 @@ class StarCraft2Env:
 
     def close(self):
         self.closed = True
+        if self._controller is not None:
+            type(self).running -= 1
 
 
 class _Flags:
@@ -123,24 +133,48 @@ class _Flags:
         self.parsed = True
 
 
+FLAGS = _Flags()
+
+
+def get_smac_map_registry():
+    return MAPS
+
+
+# What this file stands in for: module -> the name that is looked up in it.
+MODULES = {
+    "smac.env": "StarCraft2Env",
+    "smac.env.starcraft2.maps.smac_maps": "get_smac_map_registry",
+    "pysc2.lib.sc_process": "SC2LaunchError",
+    "absl.flags": "FLAGS",
+}
+
+
 def install(patch: pytest.MonkeyPatch) -> type[StarCraft2Env]:
     """Put the stand-in in the packages' place; returns a class of this test's own."""
     own = type("StarCraft2Env", (StarCraft2Env,), {"made": []})
-    modules = {
-        "smac": {},
-        "smac.env": {"StarCraft2Env": own},
-        "smac.env.starcraft2": {},
-        "smac.env.starcraft2.maps": {},
-        "smac.env.starcraft2.maps.smac_maps": {"get_smac_map_registry": lambda: MAPS},
-        "pysc2": {},
-        "pysc2.lib": {},
-        "pysc2.lib.sc_process": {"SC2LaunchError": SC2LaunchError},
-        "absl": {},
-        "absl.flags": {"FLAGS": _Flags()},
-    }
-    for name, contents in modules.items():
-        module = ModuleType(name)
-        module.__path__ = []
-        vars(module).update(contents)
+    contents = {**globals(), "StarCraft2Env": own, "FLAGS": _Flags()}
+    for name, wanted in MODULES.items():
+        parts = name.split(".")
+        for parent in (".".join(parts[:length]) for length in range(1, len(parts))):
+            if parent not in MODULES:
+                patch.setitem(sys.modules, parent, _package(parent))
+        module = _package(name)
+        setattr(module, wanted, contents[wanted])
         patch.setitem(sys.modules, name, module)
     return own
+
+
+def _package(name: str) -> ModuleType:
+    module = ModuleType(name)
+    module.__path__ = []
+    return module
+
+
+def write(folder: Path) -> dict[str, str]:
+    """Write the packages to a folder; the environment in which processes find them there."""
+    for name, wanted in MODULES.items():
+        package = folder.joinpath(*name.split("."))
+        package.mkdir(parents=True, exist_ok=True)
+        (package / "__init__.py").write_text(f"from smac_stand_in import {wanted}\n")
+    paths = (folder, Path(__file__).parent, os.environ.get("PYTHONPATH", ""))
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(str(path) for path in paths if path)}

@@ -99,6 +99,23 @@ def test_evaluation_counts_one_episode_a_copy_in_the_order_of_copies():
     assert all(episode.number == 0 for episode in rollout.episodes)
 
 
+def test_few_copies_count_as_many_episodes_each_as_was_settled_beforehand():
+    def play(copies, episodes):
+        rollout = Rollout(registry.make("hopper-3x1", copies), 3, "evaluation", 0, episodes)
+        noise = np.random.default_rng(0)
+        while not rollout.finished:
+            sent = noise.uniform(-1, 1, (3, copies, 1)).astype(np.float32)
+            rollout.advance(list(sent), EXPLORING)
+        return rollout.episodes
+
+    episodes = play(3, 7)
+    assert [(one.copy, one.number) for one in episodes] == [
+        (0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (2, 0), (2, 1)
+    ]  # fmt: skip
+    assert len({one.seed for one in episodes}) == 7
+    assert play(4, 4) == play(4, None)
+
+
 class _Scripted:
     """Two copies of a game of three steps that is won on odd seeds, and breaks off on `broken`."""
 
@@ -155,6 +172,7 @@ def test_an_episode_that_the_simulator_broke_off_does_not_count():
         (1, 3, 3)
     ] * 2
     assert rollout.successes == tuple(seed % 2 == 1 for seed in seeds[2:4])
+    assert rollout.episode_seeds == tuple(seeds[2:4])
 
 
 def test_steps_keep_the_actions_as_sent():

@@ -1,12 +1,16 @@
+import json
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
+from otc_dist.datasets.generate import generate
 from otc_dist.envs import registry, smac_adapter
 from otc_dist.envs.rollout import Rollout
 from otc_dist.errors import UserError
+from otc_dist.run_folder import RunFolder
+from otc_dist.transitions import choice_problem
 
 from . import smac_stand_in as stand_in
 
@@ -153,17 +157,68 @@ def test_what_cannot_be_is_one_line(smac):
     assert "\n" not in str(error.value)
 
 
-def test_without_the_package_one_line_says_what_to_install():
+def test_random_data_leave_out_what_broke_off(smac):
+    # In each of 8 games: the first step of its first episode, and the second one of its third.
+    smac.breaks_at = (1, 7)
+    data = generate("smac/3m", "random", 40)
+    assert np.bincount(data.episodes).tolist() == [4] * 8 + [1] * 8
+    assert data.truncated[-8:].all() and not data.terminated[-8:].any()
+    assert all(choice_problem(data.of_agent(agent), 9) is None for agent in range(3))
+    for agent in range(3):  # s' = s would say that a step did not happen
+        moved = data.next_observations[agent] != data.observations[agent]
+        assert moved.any(axis=1).all()
+
+
+def test_few_games_are_played_at_once_where_nobody_says_how_many(smac):
+    assert registry.affordable("smac/3m", 100) == 8
+    assert registry.affordable("smac/3m", 2) == 2
+    assert registry.affordable("5m_vs_6m", 100) == 100
+    generate("smac/3m", "random", 1000)
+    assert len([game for game in smac.made if game._controller]) == 1 + 8
+
+
+@pytest.mark.slow
+def test_the_launcher_tunes_it_over_the_bus(tmp_path, tiny_flags):
+    environment = stand_in.write(tmp_path / "packages")
+    diary = tmp_path / "diary"
+    command = [
+        *(sys.executable, "-m", "otc_dist.launch", "5m_vs_6m", "--out", "run", *tiny_flags),
+        *("--set", "env.id=smac/5m_vs_6m", "--set", "dataset.name=random"),
+        *("--set", "evaluation.episodes=11"),
+    ]
+    ended = subprocess.run(
+        command,
+        cwd=tmp_path,
+        env={**environment, stand_in.DIARY: str(diary)},
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    assert "after deployment 2" in ended.stdout
+    folder = RunFolder(tmp_path / "run")
+    assert folder.deployment(2).stat().st_size > 0
+    for k in range(3):
+        result = json.loads(folder.evaluation(k).read_text())
+        for what in ("returns", "lengths", "seeds", "successes"):
+            assert len(result[what]) == 11
+        assert len(set(result["seeds"])) == 11
+    games = [int(line) for line in diary.read_text().splitlines()]
+    assert max(games) == 8
+
+
+@pytest.mark.parametrize("command", [[], ["--dry-run"]])
+def test_without_the_package_one_line_says_what_to_install(tmp_path, command):
     code = (
         "import sys\n"
         "sys.modules['smac'] = None\n"
-        "from otc_dist.envs import registry\n"
         "from otc_dist.errors import run_main\n"
-        "run_main(lambda argv: registry.team_spec('smac/5m_vs_6m') and 0)\n"
+        "from otc_dist.launch.__main__ import main\n"
+        "run_main(main)\n"
     )
+    words = ["5m_vs_6m", "--set", "env.id=smac/5m_vs_6m", "--set", "dataset.name=random", *command]
     ended = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
-    )
+        [sys.executable, "-c", code, *words],
+        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
     assert ended.returncode == 2
     assert ended.stderr.startswith("error: smac/5m_vs_6m needs SMAC, and smac.env is missing: pip")
     assert ended.stderr.count("\n") == 1
