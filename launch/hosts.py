@@ -9,16 +9,18 @@ agent_1 = "ana@192.0.2.3"
 """
 
 import argparse
+import re
 import shlex
 import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
-from pydantic import Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
+from otc_dist.bus.addresses import HOST_FORM, in_brackets, is_host, is_ipv6
 from otc_dist.bus.keys import HOST
 from otc_dist.description.assignments import explain
 from otc_dist.description.section import Section
@@ -28,15 +30,27 @@ from otc_dist.spec import TeamSpec
 from .signals import Signals
 from .supervisor import End, Supervisor
 
-_SSH = ("ssh", "-tt", "-o", "BatchMode=yes")  # -tt: what runs there ends when the link does
+# -tt: what runs there ends when the link does; --: no option comes after it.
+_SSH = ("ssh", "-tt", "-o", "BatchMode=yes", "--")
 _PLAIN = ("env", "TERM=dumb")  # what runs there is given a terminal, and told to write lines to it
+_USER = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+@-]*")
+
+
+def _machine(text: str) -> str:
+    user, at, address = text.rpartition("@")
+    if (at and not _USER.fullmatch(user)) or not is_host(address):
+        raise ValueError(f"{text!r} is not {HOST_FORM}, with or without user@ before it")
+    return text
+
+
+Machine = Annotated[str, AfterValidator(_machine)]
 
 
 class Hosts(Section):
     """What the file says. Machines are written as for ssh: address, or user@address."""
 
-    env_host: str
-    learners: dict[str, str]
+    env_host: Machine
+    learners: dict[str, Machine]
     port: int = Field(default=7447, ge=1, le=65535)
     python: str = "python"
     directory: str = ""
@@ -46,6 +60,11 @@ class Hosts(Section):
     def address(self) -> str:
         """Of the env host, without ssh's user."""
         return self.env_host.rpartition("@")[2]
+
+    @property
+    def anywhere(self) -> str:
+        """All addresses of the env host's machine, to listen on."""
+        return "[::]" if is_ipv6(self.address) else "0.0.0.0"
 
     @classmethod
     def load(cls, path: Path, team: TeamSpec) -> Self:
@@ -85,8 +104,8 @@ def parts(hosts: Hosts, run: Sequence[str], insecure: bool, router: bool) -> Ite
     """
     scheme = "tcp" if insecure else "tls"
     safety = ("--insecure",) if insecure else ("--certs", hosts.certs)
-    listen = () if router else ("--listen", f"{scheme}/0.0.0.0:{hosts.port}")
-    connect = () if router else ("--connect", f"{scheme}/{hosts.address}:{hosts.port}")
+    listen = () if router else ("--listen", f"{scheme}/{hosts.anywhere}:{hosts.port}")
+    connect = () if router else ("--connect", f"{scheme}/{in_brackets(hosts.address)}:{hosts.port}")
     yield _part(hosts, HOST, hosts.env_host, (*run, "--role", "host", *listen, *safety))
     for agent, machine in hosts.learners.items():
         learner = ("--role", "learner", "--agent", agent)
@@ -116,7 +135,8 @@ def show(hosts: Hosts, every: Sequence[Part], insecure: bool) -> None:
         print(f"once, here:\n  {made}")
         folder = "/".join(filter(None, (hosts.directory, hosts.certs)))
         for part in every:
-            there = f"{part.machine}:{folder}/"
+            user, at, address = part.machine.rpartition("@")
+            there = f"{user}{at}{in_brackets(address)}:{folder}/"
             print(f"  ssh {part.machine} mkdir -p {folder} && scp -r certs/{part.name} {there}")
     for part in every:
         print(f"on {part.machine}:\n  {part.command}")

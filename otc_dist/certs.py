@@ -21,6 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from otc_dist.bus.access import router_rules
+from otc_dist.bus.addresses import HOST_FORM, is_host
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from otc_dist.bus.keys import HOST, OBSERVER, Keys
 from otc_dist.errors import UserError, run_main
@@ -68,8 +69,11 @@ def make(folder: Path, agents: Sequence[str], names: Sequence[str], days: float)
         days: for which the certificates are valid.
 
     Raises:
-        UserError: the folder cannot be written, or holds something else.
+        UserError: a name is none; the folder cannot be written, or holds something else.
     """
+    for name in names:
+        if not is_host(name):
+            raise UserError(f"--host {name!r} is not {HOST_FORM}: write it as learners connect to")
     try:
         authority = _Authority.of(folder / _AUTHORITY_FOLDER)
         for process in (HOST, *agents, OBSERVER):
@@ -93,7 +97,7 @@ def own_names() -> tuple[str, ...]:
         names += [str(address[0]) for *_, address in found]
     except OSError:
         pass  # its own name cannot be resolved
-    return tuple(dict.fromkeys(names))
+    return tuple(dict.fromkeys(filter(is_host, names)))
 
 
 class _Authority:
@@ -202,11 +206,7 @@ def _general_name(name: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(name))
     except ValueError:
-        pass
-    try:
         return x509.DNSName(name)
-    except ValueError:
-        raise UserError(f"--host {name!r} is neither a host name nor an address") from None
 
 
 def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:

@@ -9,6 +9,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from otc_dist.bus.addresses import HOST_FORM, is_host, is_ipv6
 from otc_dist.bus.identity import Identity
 from otc_dist.errors import UserError
 
@@ -49,6 +50,7 @@ def door(endpoint: str, process: str, certs: Path | None, insecure: bool) -> Doo
     rest = endpoint.partition("/")[2]
     if not re.search(r":\d+$", rest):
         raise UserError(f"{endpoint} has no port: write {endpoint}:7447")
+    _check_host(rest.rpartition(":")[0], endpoint)
     if endpoint.startswith(TLS):
         if certs is None:
             raise UserError(
@@ -61,6 +63,15 @@ def door(endpoint: str, process: str, certs: Path | None, insecure: bool) -> Doo
             " or say --insecure"
         )
     return Door(endpoint)
+
+
+def _check_host(host: str, endpoint: str) -> None:
+    bare = host.removeprefix("[").removesuffix("]")
+    if not is_host(bare) or is_ipv6(bare) != (host == f"[{bare}]"):
+        raise UserError(
+            f"the host in {endpoint!r} is not {HOST_FORM}: write it as tls/192.0.2.1:7447 or"
+            " tls/[2001:db8::1]:7447"
+        )
 
 
 def local_endpoint(run: Path) -> str:

@@ -212,6 +212,8 @@ def test_a_host_by_another_name_is_refused(ours: Path, tmp_path: Path) -> None:
         ("tls/10.0.0.1", False, True, "has no port"),
         ("tcp/10.0.0.1:7447", False, False, "use tls/10.0.0.1:7447 with --certs DIR, or say --ins"),
         ("udp/10.0.0.1:7447", False, True, "is open to everybody"),
+        ("tls/:7447", False, True, "the host in 'tls/:7447' is not a host name or an IP address"),
+        ("tls/::1:7447", False, True, "or tls/[2001:db8::1]:7447"),
         ("tls/10.0.0.1:7447", False, False, "needs --certs DIR"),
         ("tcp/10.0.0.1:7447", True, True, "contradict each other"),
     ],
@@ -270,12 +272,15 @@ def test_making_certificates_again_keeps_the_good_ones(tmp_path: Path) -> None:
     ("argv", "says"),
     [
         (["--agents", "0"], "must be 1 or more"),
-        (["--agents", "1", "--host", "\u00e9 no name"], "is neither a host name nor an address"),
+        (["--agents", "1", "--host", "\u00e9 no name"], "is not a host name or an IP address"),
+        (["--agents", "1", "--host", "a b"], "--host 'a b' is not a host name"),
+        (["--agents", "1", "--host", ""], "--host '' is not a host name"),
         (["--agents", "1", "--days", "0"], "must be 1 or more"),
     ],
 )
 def test_mistakes_with_certs_are_one_line(argv: list[str], says: str, tmp_path: Path) -> None:
     assert says in _refusal(lambda: certs.main([str(tmp_path / "certs"), *argv]))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path) -> None:

@@ -80,6 +80,12 @@ def test_a_mistake_is_one_line_before_anything_is_begun(
         ("python", "pyton", "unknown key 'pyton'; did you mean 'python'?"),
         ("python = ", "port = 0\npython = ", "port: input should be greater than or equal to 1"),
         ("[learners]", "[learners", "is not valid TOML"),
+        ("ana@192.0.2.1", "", "env_host: '' is not a host name or an IP address, with or"),
+        ("ana@192.0.2.1", "ana@", "env_host: 'ana@' is not a host name"),
+        ("ana@192.0.2.1", "-oProxyCommand=x@192.0.2.1", "x@192.0.2.1' is not a host name"),
+        ("192.0.2.2", "-oProxyCommand=x", "learners.agent_0: '-oProxyCommand=x' is not a host"),
+        ("192.0.2.2", "d;rm", "'d;rm' is not a host name"),
+        ("192.0.2.2", "192.0.2.2.", "'192.0.2.2.' is not a host name"),
     ],
 )
 def test_a_wrong_hosts_file_is_one_line(old: str, new: str, says: str, folder: Path) -> None:
@@ -87,6 +93,19 @@ def test_a_wrong_hosts_file_is_one_line(old: str, new: str, says: str, folder: P
     with pytest.raises(UserError) as caught:
         main([*RUN, "--hosts", "hosts.toml"])
     assert says in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_the_addresses_of_ipv6_are_in_brackets_before_a_colon(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "hosts.toml").write_text(FILE.replace("192.0.2.", "2001:db8::"))
+    assert main([*RUN, "--hosts", "hosts.toml"]) == 0
+    said = capsys.readouterr().out
+    assert "--listen tls/[::]:7447" in said.replace("'", "")
+    assert "--connect tls/[2001:db8::1]:7447" in said.replace("'", "")
+    assert "--host 2001:db8::1\n" in said and "on ana@2001:db8::3:\n" in said
+    assert "ssh ana@2001:db8::3 mkdir -p otc/certs" in said
+    assert "scp -r certs/agent_1 ana@[2001:db8::3]:otc/certs/" in said
 
 
 def _plan(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -154,11 +173,11 @@ def _fake_ssh(folder: Path, script: str) -> None:
 
 
 def test_ssh_runs_each_command_on_its_host(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _fake_ssh(folder, 'echo "$machine: $command"')
+    _fake_ssh(folder, 'echo "$*"')
     monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
     assert main([*RUN, "--hosts", "hosts.toml", "--ssh"]) == 0
     printed = (folder / "runs" / "hosts-output" / "agent_1.log").read_text()
-    assert printed.startswith("ana@192.0.2.3: cd otc && .venv/bin/python -m otc_dist.launch")
+    assert " -- ana@192.0.2.3 cd otc && .venv/bin/python -m otc_dist.launch" in printed
     assert "--role learner --agent agent_1" in printed
 
 
