@@ -86,6 +86,8 @@ def place(status: Status) -> str:
         return f"tuning after deployment {status.deployment}"
     if status.phase in ("evaluation", "ready"):
         return f"{status.phase}, policy {status.deployment}"
+    if status.phase == "waiting":
+        return "waiting for the env host"
     if status.phase == "gathering":
         return "waiting for the learners to come"
     if status.phase == "done":

@@ -18,7 +18,7 @@ from .board import Board
 from .closing import closing_lines
 from .crew import MISTAKE, Crew, DiedError
 from .forecast import Remaining
-from .observer import Sign, observing
+from .observer import Sign, Waiting, observing
 from .plan import Plan
 from .run_record import RunRecord
 from .signals import Signals
@@ -46,8 +46,8 @@ def conduct(plan: Plan, record: RunRecord) -> int:
     if record.quick:
         title += f" ({descriptions.QUICK_LABEL})"
     print(f"{title}: {plan.folder.root}", flush=True)
-    if plan.place.meeting:
-        print(plan.place.meeting, flush=True)
+    for line in filter(None, (plan.place.meeting, plan.place.missing)):
+        print(line, flush=True)
     with Signals() as signals:
         try:
             with Supervisor(signals) as supervisor:
@@ -100,10 +100,10 @@ def _run(
     """Start all processes, and again those that die, and show them until all have ended well."""
     crew = Crew(plan, supervisor)
     board = Board(plan.watched, Remaining(plan.parts), crew.health.lives)
-    signs: queue.SimpleQueue[Sign] = queue.SimpleQueue()
+    signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
     over: float | None = None  # when the host ended
 
-    def notice(sign: Sign) -> None:
+    def notice(sign: Sign | Waiting) -> None:
         signs.put(sign)
         if not isinstance(sign, Status):  # these come often, and can wait
             signals.wake()
@@ -114,6 +114,9 @@ def _run(
             signals.wait(REFRESH)
             while not signs.empty():
                 sign = signs.get()
+                if isinstance(sign, Waiting):
+                    view.say(sign.line)
+                    continue
                 crew.take(sign)
                 if isinstance(sign, Status):
                     board.take(sign, time.monotonic())

@@ -1,10 +1,12 @@
 """Listens to the processes' signs of life. It only looks: a run goes on whether it hears or not."""
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
+from otc_dist.bus.diagnosis import absence
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.messages import Status
 from otc_dist.bus.session import Session
@@ -17,6 +19,7 @@ from .plan import Plan
 _PATIENCE = 2.0  # seconds of an attempt to connect
 _FAREWELL = 5.0  # seconds; a session closes within two
 _LOOK = 0.2  # seconds between two looks at whether there is a link to the bus
+TELL_EVERY = 30.0  # seconds without a link between two lines that say so
 
 
 class Token(NamedTuple):
@@ -32,11 +35,17 @@ class Link(NamedTuple):
     up: bool
 
 
-Sign = Status | Token | Link
+class Waiting(NamedTuple):
+    """The observer has had no link to the other hosts for a while: what it waits for."""
+
+    line: str
+
+
+Sign = Status | Token | Link  # of a process, or of the link by which one is heard
 
 
 @contextmanager
-def observing(plan: Plan, run: str, take: Callable[[Sign], None]) -> Iterator[None]:
+def observing(plan: Plan, run: str, take: Callable[[Sign | Waiting], None]) -> Iterator[None]:
     """While entered, call `take`, from other threads, with every sign of every process."""
     over = threading.Event()
     # A thread of its own, since the env host may take seconds before it listens.
@@ -49,7 +58,9 @@ def observing(plan: Plan, run: str, take: Callable[[Sign], None]) -> Iterator[No
         listener.join(_FAREWELL)
 
 
-def _listen(plan: Plan, run: str, take: Callable[[Sign], None], over: threading.Event) -> None:
+def _listen(
+    plan: Plan, run: str, take: Callable[[Sign | Waiting], None], over: threading.Event
+) -> None:
     door = plan.place.observed_at(plan.folder.root)
     maximum, processes = plan.description.bus.maximum_payload, (HOST, *plan.watched)
     keys = Keys(run)
@@ -57,11 +68,21 @@ def _listen(plan: Plan, run: str, take: Callable[[Sign], None], over: threading.
     def noting(process: str) -> Callable[[bool], None]:
         return lambda alive: take(Token(process, alive))
 
+    told = time.monotonic()  # the launcher has said at its start who is missing
+
+    def tell() -> float:
+        if not plan.place.connect or time.monotonic() < told + TELL_EVERY:
+            return told
+        there = f"waiting for {door.endpoint}: somebody is there, but no link comes about"
+        take(Waiting(absence(door) or there))
+        return time.monotonic()
+
     while not over.is_set():
         try:
             session = Session.connect(door, maximum, timeout=_PATIENCE)
         except UserError:
-            continue  # nobody listens yet
+            told = tell()  # nobody listens yet
+            continue
         with session:
             StatusBoard(session, keys, processes, Rejections(), take)
             for process in processes:
@@ -71,3 +92,4 @@ def _listen(plan: Plan, run: str, take: Callable[[Sign], None], over: threading.
                 if session.linked != linked:
                     linked = not linked
                     take(Link(linked))
+                told = time.monotonic() if linked else tell()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
 
+from otc_dist.bus.diagnosis import absence, refusal
 from otc_dist.bus.endpoints import Door, door, local_endpoint
 from otc_dist.bus.keys import HOST, OBSERVER
 from otc_dist.description import Description
@@ -127,6 +128,20 @@ class Place:
         if self.connect and self.role != "all":
             return f"the other hosts are met at {self.connect}"
         return f"all processes meet at {self.connect}" if self.connect else ""
+
+    def knock(self) -> None:
+        """Find out where the others are met whether they let us in, before any work is done.
+
+        Raises:
+            UserError: we refuse them, or they us. That nobody is there yet is no mistake.
+        """
+        if self.connect and (reason := refusal(self.observed_at(Path()))):
+            raise UserError(reason)
+
+    @property
+    def missing(self) -> str:
+        """In words, for whom the processes of this machine wait now; "" if somebody is there."""
+        return (absence(self.observed_at(Path())) if self.connect else None) or ""
 
     def observed_at(self, run: Path) -> Door:
         """Where the launcher itself looks on: as the learner that it starts, or as an observer."""

@@ -74,6 +74,7 @@ def _start(arguments: argparse.Namespace) -> int:
         return 0
     if place.insecure:
         print(INSECURE, file=sys.stderr)
+    place.knock()
     if place.role != "all" and planned.folder.run_json.exists():
         with run_record.locked(planned.folder):
             record = run_record.rejoin(planned.folder, description, place)
@@ -116,7 +117,8 @@ def _resume(arguments: argparse.Namespace) -> int:
         raise UserError(f"--resume goes on with the run as it was begun: leave out {given[0]}")
     folder = RunFolder(arguments.resume.resolve())
     with ExitStack() as stack:
-        run_record.RunRecord.read(folder)  # a folder without one is not a run's: no lock in it
+        # A folder without a record is not a run's: no lock in it.
+        run_record.RunRecord.read(folder).place.knock()
         stack.enter_context(run_record.locked(folder))
         record, description = run_record.reopen(folder)
         return conduct(plan.make(description, folder, record.run, record.place), record)

@@ -3,7 +3,8 @@
 import socket
 import ssl
 
-from otc_dist.bus.endpoints import Door
+from otc_dist.bus.addresses import is_ipv6
+from otc_dist.bus.endpoints import TLS, Door
 from otc_dist.bus.identity import Identity
 
 _PATIENCE = 1.0  # seconds for each step
@@ -26,15 +27,45 @@ def refusal(door: Door) -> str | None:
 
     It opens a connection of its own, and looks at how that ends.
     """
+    address = _address(door)
+    if address is None:
+        return None
+    if not door.endpoint.startswith(TLS):
+        check = _of_plain
+    elif is_ipv6(address[0]):  # its TLS takes the brackets for a part of the name (Zenoh 1.10)
+        return f"{door.endpoint}: Zenoh links to no IPv6 address by TLS; connect to a name of it"
+    else:
+        check = _of_tls
+    try:
+        return check(door, address)
+    except OSError:  # nobody there, or nobody who answers
+        return None
+
+
+def absence(door: Door) -> str | None:
+    """One line on whom `door` waits for; None if somebody answers there, or nothing can tell."""
+    address = _address(door)
+    if address is None:
+        return None
+    try:
+        socket.create_connection(address, _PATIENCE).close()
+    except socket.gaierror:
+        reason = f"this machine knows no {address[0]}; check the name"
+    except OSError:
+        reason = (
+            "nobody answers there yet; start the env host (or the router), or check the address"
+        )
+    else:
+        return None
+    return f"waiting for {door.endpoint}: {reason}"
+
+
+def _address(door: Door) -> tuple[str, int] | None:
     protocol, _, place = door.endpoint.partition("/")
     host, _, port = place.rpartition(":")
     if protocol not in ("tls", "tcp") or not port.isdecimal():
         return None
-    address = (host.strip("[]"), int(port))
-    try:
-        return _of_tls(door, address) if protocol == "tls" else _of_plain(door, address)
-    except OSError:  # nobody there, or nobody who answers
-        return None
+    return host.strip("[]"), int(port)
 
 
 def _of_tls(door: Door, address: tuple[str, int]) -> str | None:

@@ -21,7 +21,8 @@ Query = Callable[[Mapping[str, str]], bytes]
 
 _INBOX_SIZE = 256  # messages
 _WAKE_PERIOD = 0.05  # seconds
-_ATTEMPT = 1.0  # seconds until it is asked why a link does not come about; then doubles
+_ATTEMPT = 1.0  # seconds until it is asked why a link does not come about; then doubles, up to
+_LONGEST_ATTEMPT = 4.0  # so that who comes late and refuses is told of as soon
 
 
 class Inbox:
@@ -133,7 +134,7 @@ class Session:
                         f"nobody listens on {door.endpoint} after {timeout:.0f} s: does the env"
                         f" host run? ({_first_line(error)})"
                     ) from None
-                attempt *= 2
+                attempt = min(2 * attempt, _LONGEST_ATTEMPT)
 
     def publisher(self, key: str) -> Put:
         """A function that publishes bytes on `key`; what the transport cannot take is dropped."""

@@ -1,0 +1,135 @@
+"""A learner apart from its env host says whom it waits for, or at once why it is not let in."""
+
+import queue
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from otc_dist import certs
+from otc_dist.bus.endpoints import Door, door
+from otc_dist.bus.identity import Identity
+from otc_dist.bus.keys import HOST
+from otc_dist.bus.links import QUICK_PAYLOAD
+from otc_dist.bus.session import Session
+from otc_dist.errors import UserError
+from otc_dist.launch import observer
+from otc_dist.launch.__main__ import main
+from otc_dist.launch.observer import Link, Sign, Waiting, observing
+from otc_dist.launch.plan import Plan
+from otc_dist.launch.run_record import RunRecord
+from otc_dist.run_folder import RunFolder
+from tests.bus.conftest import free_port
+
+from .conftest import AGENTS, Launcher
+
+PATIENCE = 60.0  # seconds; only a test that fails waits as long
+LEARNER = ("3agent_hopper", "--role", "learner", "--agent", "agent_0", "--out", "run", "--connect")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """With certificates of our authority, and of another, one of them out of date."""
+    monkeypatch.chdir(tmp_path)
+    for name, days in (("certs", 30.0), ("theirs", 30.0), ("expired", -0.5)):
+        list(certs.make(tmp_path / name, AGENTS, ["127.0.0.1"], days))
+    return tmp_path
+
+
+@pytest.fixture
+def port() -> int:
+    return free_port()
+
+
+def _host(folder: Path, port: int, whose: str) -> Session:
+    """An env host's session with the certificates of that folder, which nobody has checked."""
+    if whose == "nobody's":
+        return Session.listen([Door(f"tcp/127.0.0.1:{port}")], QUICK_PAYLOAD)
+    own = folder / whose / HOST
+    identity = Identity(own / "authority.pem", own / "certificate.pem", own / "key.pem")
+    return Session.listen([Door(f"tls/127.0.0.1:{port}", identity)], QUICK_PAYLOAD)
+
+
+@pytest.mark.parametrize(
+    ("whose", "protocol", "safety", "says"),
+    [
+        ("theirs", "tls", ("--certs", "certs"), "is refused: unable to get local issuer"),
+        ("expired", "tls", ("--certs", "expired"), "expired on"),
+        ("nobody's", "tls", ("--certs", "certs"), "does not speak TLS: does it run with --ins"),
+        ("certs", "tcp", ("--insecure",), "speaks TLS: use tls/127.0.0.1"),
+        ("certs", "tls", (), "needs --certs DIR"),
+    ],
+)
+def test_a_link_that_is_refused_is_one_line_before_anything_is_made(
+    whose: str,
+    protocol: str,
+    safety: tuple[str, ...],
+    says: str,
+    folder: Path,
+    port: int,
+    launch: Callable[..., Launcher],
+) -> None:
+    there = f"{protocol}/127.0.0.1:{port}"
+    with _host(folder, port, whose):
+        launcher = launch(*LEARNER, there, *safety, cache=folder / "cache")
+        assert launcher.finish() == 2, launcher.text
+    said = [line for line in launcher.lines if not line.startswith("WARNING: --insecure")]
+    assert len(said) == 1 and said[0].startswith("error: ") and says in said[0]
+    assert not (folder / "cache").exists() and not (folder / "run").exists()
+
+
+def test_a_learner_says_at_once_for_whom_it_waits(
+    folder: Path, port: int, launch: Callable[..., Launcher], tiny_flags: tuple[str, ...]
+) -> None:
+    there = f"tls/127.0.0.1:{port}"
+    cache = folder / "cache"
+    launcher = launch(*LEARNER, there, "--certs", "certs", *tiny_flags, cache=cache)
+    launcher.read_until(lambda line: line.startswith("making"))
+    assert launcher.lines[-2].startswith(f"waiting for {there}: nobody answers there yet; start")
+
+
+@pytest.fixture
+def plan(folder: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> Plan:
+    """Of a learner's launcher that has begun when nobody was there."""
+    conducted: list[Plan] = []
+
+    def conduct(plan: Plan, record: RunRecord) -> int:
+        conducted.append(plan)
+        return 0
+
+    monkeypatch.setattr("otc_dist.launch.run_command.conduct", conduct)
+    sized = ("--set", "dataset.transitions=100")
+    assert main([*LEARNER, f"tls/127.0.0.1:{port}", "--certs", "certs", *sized]) == 0
+    return conducted[0]
+
+
+def test_who_goes_on_is_refused_as_soon_and_nothing_is_changed(
+    plan: Plan, folder: Path, port: int
+) -> None:
+    before = RunRecord.read(RunFolder(folder / "run"))
+    with _host(folder, port, "theirs"), pytest.raises(UserError, match="is refused"):
+        main(["--resume", "run"])
+    assert RunRecord.read(RunFolder(folder / "run")) == before
+
+
+def test_whom_it_waits_for_is_said_from_time_to_time_until_the_link_is_there(
+    plan: Plan, folder: Path, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
+
+    def until(kind: type[Link | Waiting]) -> Link | Waiting:
+        while not isinstance(sign := signs.get(timeout=PATIENCE), kind):
+            pass
+        return sign
+
+    monkeypatch.setattr(observer, "TELL_EVERY", 0.0)
+    said = f"waiting for tls/127.0.0.1:{port}: nobody answers there yet"
+    with observing(plan, "a-run", signs.put):
+        for _ in range(2):
+            assert str(until(Waiting)).startswith(f"Waiting(line='{said}")
+        with Session.listen(
+            [door(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)], QUICK_PAYLOAD
+        ):
+            assert until(Link) == Link(up=True)
+        assert signs.get(timeout=PATIENCE) == Link(up=False)  # and nothing between
+        until(Waiting)  # the env host has gone
