@@ -60,6 +60,10 @@ class OpenLog:
         self.path = path
         try:
             self._file: BinaryIO = path.open("rb")
+        except IsADirectoryError:
+            raise UserError(
+                f"{path} is a folder; a run's logs are RUN/deployments/deployment_*.mcap"
+            ) from None
         except OSError as error:
             raise UserError(f"{path} cannot be read: {error.strerror}") from None
         try:
