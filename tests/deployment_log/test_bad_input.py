@@ -25,7 +25,7 @@ def test_no_file(tmp_path: Path) -> None:
 
 
 def test_a_folder(tmp_path: Path) -> None:
-    assert "Is a directory" in said(tmp_path)
+    assert "a run's logs are RUN/deployments/deployment_*.mcap" in said(tmp_path)
 
 
 @pytest.mark.parametrize("content", [b"", b"short", b"a,b\n" * 100])

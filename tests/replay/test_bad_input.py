@@ -10,8 +10,6 @@ import pytest
 from mcap.writer import Writer
 
 from otc_dist.deployment_log.writer import LogWriter
-from otc_dist.errors import UserError
-from otc_dist.replay.__main__ import main
 from tests.deployment_log.conftest import Recording
 
 ACTIONS = {
@@ -76,11 +74,6 @@ def test_a_damaged_log_points_to_recover(
         message = refused(*arguments)
     assert "is damaged" in message and "; --recover writes what is whole" in message
     assert [p.name for p in tmp_path.iterdir()] == ["log.mcap"]
-
-
-def test_a_folder_in_place_of_a_log_is_told_where_logs_are(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"is a folder; a run's logs are RUN/deployments"):
-        main([str(tmp_path)])
 
 
 def test_the_line_goes_to_the_error_output_and_the_status_is_2(tmp_path: Path) -> None:
