@@ -6,19 +6,22 @@ Ours is `Learner.tune`, compiled, with uniform sampling. d3rlpy's way is d3rlpy 
 minibatch of its replay buffer, then its `update`, as its `fit` does, also without the sampling.
 CORL's way is a plain eager loop of the same equations as ours (plain/). All have the same data,
 batch and hidden sizes, those of an agent of hopper-3x1, or of 5m_vs_6m for discrete actions,
-and take turns of 100 updates on one thread (timing.py).
+and take turns of 80 updates on one thread (timing.py). BREMEN is timed twice: its updates of
+models and clone alone, and with its improvements of the policy, of which a deployment's 2,000
+updates are followed by 50.
 
 Where the peers' equations differ from the algorithms' sources, in what it costs: d3rlpy's
 discrete CQL has no masks of available actions and copies its target now and then; its BCQ
-decodes actions without the final tanh. d3rlpy has no BREMEN, of which the minibatch update is
-timed, without the improvement of the policy: beside the matrix products that any code must do
-for it, which take most of its time. CORL's own files have three hidden layers in AWAC
-and CQL, where Table 3 has two; it has no BCQ, discrete CQL or BREMEN.
+decodes actions without the final tanh. d3rlpy has no BREMEN; beside its updates are timed the
+matrix products that any code must do for them, which take most of their time. CORL's own files
+have three hidden layers in AWAC and CQL, where Table 3 has two; it has no BCQ, discrete CQL or
+BREMEN.
 """
 
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import memory
 import torch
@@ -33,6 +36,7 @@ from timing import (
     ENVS,
     OFFLINE,
     ONLINE,
+    UPDATES,
     Timed,
     describe,
     interleave,
@@ -43,18 +47,21 @@ from timing import (
     tuning,
 )
 
+from otc_dist.description.algorithms import BremenSection
 from otc_dist.envs import registry
 from otc_dist.errors import run_main, unknown
 from otc_dist.learner import Learner
+from otc_dist.spec import AgentSpec
+from otc_dist.transitions import Transitions
 
 TARGET = 2.5  # times as fast as each peer
+UPDATES_AN_IMPROVEMENT = 40  # BREMEN's defaults: L = 2,000 updates, then 50 improvements
 PLAIN = {
     "bcq": PlainBcq,
     "awac": PlainAwac,
     "cql": PlainCql,
     "discrete-cql": PlainDiscreteCql,
     "td3bc": PlainTd3Bc,
-    "bremen": PlainBremen,
 }
 
 
@@ -68,28 +75,16 @@ class Entry:
     absent: dict[str, str]
 
 
-def entry(name: str, rounds: int) -> Entry:
-    assignments = [
-        f"algorithm.name={name}",
-        "sampling.name=uniform",
-        "engine.name=compiled",
-    ]
-    env_id = ENVS[sections()[name].discrete]
-    if name == "bremen":  # they follow the updates, and are not timed
-        assignments.append("algorithm.improvements=0")
-    description = describe(env_id, rounds, *assignments)
-    section, spec = description.algorithm, registry.team_spec(env_id).agents[0]
-    data, online = random_data(spec, OFFLINE[env_id], 0), random_data(spec, ONLINE, 1)
-    say(f"compiling {name}, up to a minute the first time")
-    learner = Learner(description, spec, data, registry.task(env_id))
-    learner.pretrain(lambda progress: None, lambda: None)
+def entries(name: str, rounds: int) -> list[Entry]:
+    return [entry(name, rounds)] if name != "bremen" else bremen(rounds)
 
+
+def entry(name: str, rounds: int) -> Entry:
+    learner, spec, data, online = tuned(name, rounds)
+    section = learner.description.algorithm
     made = Entry(name, Timed(name, tuning(learner, online)), [], {})
     plain = PLAIN[name](section, spec, data)
     made.peers.append(Timed("CORL's way", repeated(plain.update)))
-    if name == "bremen":
-        products = BremenProducts(section, spec)
-        made.peers.append(Timed("  matrix products alone", repeated(products.update)))
     if reason := missing(name):
         made.absent["d3rlpy"] = reason
     else:
@@ -97,6 +92,53 @@ def entry(name: str, rounds: int) -> Entry:
         made.peers.append(Timed("d3rlpy", repeated(peer.update)))
         made.peers.append(Timed("  its sampling left out", repeated(peer.again)))
     return made
+
+
+def bremen(rounds: int) -> list[Entry]:
+    """Its updates alone, and with their share of improvements."""
+    made = []
+    for name, count in (("bremen", 0), ("bremen, improving", UPDATES // UPDATES_AN_IMPROVEMENT)):
+        learner, spec, data, online = tuned("bremen", rounds, f"algorithm.improvements={count}")
+        section = learner.description.algorithm
+        assert isinstance(section, BremenSection)
+        plain = PlainBremen(section, spec, data, registry.task(learner.description.env.id))
+        peers = [Timed("CORL's way", repeated(plain.update))]
+        if count:
+            peers = [Timed("CORL's way", repeated(partial(tune, plain), times=count))]
+        else:
+            products = BremenProducts(section, spec)
+            peers.append(Timed("  matrix products alone", repeated(products.update)))
+        made.append(
+            Entry(name, Timed(name, tuning(learner, online)), peers, {"d3rlpy": "has no BREMEN"})
+        )
+    return made
+
+
+def tune(plain: PlainBremen) -> None:
+    for _ in range(UPDATES_AN_IMPROVEMENT):
+        plain.update()
+    plain.improve()
+
+
+def tuned(
+    name: str, rounds: int, *assignments: str
+) -> tuple[Learner, AgentSpec, Transitions, Transitions]:
+    """A learner of some random B_0, which has compiled; its agent, B_0, and D_k."""
+    env_id = ENVS[sections()[name].discrete]
+    description = describe(
+        env_id,
+        rounds,
+        f"algorithm.name={name}",
+        "sampling.name=uniform",
+        "engine.name=compiled",
+        *assignments,
+    )
+    spec = registry.team_spec(env_id).agents[0]
+    data, online = random_data(spec, OFFLINE[env_id], 0), random_data(spec, ONLINE, 1)
+    say(f"compiling {name}, up to a minute the first time")
+    learner = Learner(description, spec, data, registry.task(env_id))
+    learner.pretrain(lambda progress: None, lambda: None)
+    return learner, spec, data, online
 
 
 def table(entries: Sequence[Entry]) -> str:
@@ -135,10 +177,10 @@ def main(argv: list[str]) -> int:
             raise unknown("algorithm", name, known)
     torch.set_num_threads(1)
 
-    entries = [entry(name, arguments.rounds) for name in names]
-    interleave([row for made in entries for row in (made.ours, *made.peers)], arguments.rounds)
+    made = [each for name in names for each in entries(name, arguments.rounds)]
+    interleave([row for each in made for row in (each.ours, *each.peers)], arguments.rounds)
     print(f"batch 128, torch {torch.__version__}, one thread")
-    print(table(entries))
+    print(table(made))
     print(memory.table(names))
     return 0
 

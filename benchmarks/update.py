@@ -3,7 +3,7 @@
     python benchmarks/update.py [--rounds 12] [--env hopper-3x1]
 
 The peer is BCQ as it is usually written (plain/), with fused Adam. Ours is `Learner.tune`: all
-of it. They take turns of 100 updates, on one thread (timing.py).
+of it. They take turns of 80 updates, on one thread (timing.py).
 
 Networks, batch and minibatches are those of Table 3; the data are random numbers of the robot's
 sizes, which cost what real ones do.

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 from otc_dist.description import Description
+from otc_dist.description.algorithms import BremenSection
 from otc_dist.envs import registry
 from otc_dist.errors import run_main
 from otc_dist.learner import Learner, Progress
@@ -45,6 +46,8 @@ def _exercise(description: Description, agent: AgentSpec) -> None:
         "offline.updates=1", "embedding.updates=1", "deployment.updates=1", "deployment.count=1",
         f"deployment.transitions={DEPLOYED}", "embedding.minimum_active=0",
     )  # fmt: skip
+    if isinstance(short.algorithm, BremenSection):
+        short = short.with_assignments("algorithm.improvements=1")
     rows, deployment = ROWS, description.deployment
     if description.sampling.name == "balanced":
         online = deployment.count * deployment.transitions

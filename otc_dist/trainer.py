@@ -102,7 +102,7 @@ class Trainer:
     ) -> State:
         def improve(state: State, draws: Draws) -> tuple[State, Tensor]:
             rows, _, state = self._choose(data, state, draws)
-            return algorithm.improve(state, unpack(rows, self._layout), draws)
+            return algorithm.improve(self._engine.fuse, state, unpack(rows, self._layout), draws)
 
         def on_improvement(state: State, done: int, metrics: list[float]) -> None:
             names = algorithm.improvement_metric_names

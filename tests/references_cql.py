@@ -24,11 +24,9 @@ class Cql:
     critic_rate: float
     tau: float
     weight: float
-    cloning: int = 0
     discount: float = 0.99
 
     def __post_init__(self) -> None:
-        self.updates = 0
         s, a, hidden = self.s, self.a, self.hidden
         self.actor = Network(s, hidden, 2 * a)
         self.critics = [Network(s + a, hidden, 1) for _ in range(2)]
@@ -38,6 +36,13 @@ class Cql:
         self.actor_adam = adam(self.actor.parameters(), lr=self.actor_rate)
         self.temperature_adam = adam([self.log_temperature], lr=self.actor_rate)
         self.critic_adams = [adam(c.parameters(), lr=self.critic_rate) for c in self.critics]
+
+    def fit_normaliser(self, s: Tensor) -> None:
+        self.mean = s.sum(0) / len(s)
+        self.std = torch.sqrt(((s - self.mean) ** 2).sum(0) / len(s)) + 1e-3
+
+    def standard(self, s: Tensor) -> Tensor:
+        return (s - self.mean) / self.std
 
     def load(self, state: Mapping[str, Tensor]) -> None:
         set_flat([self.actor], state["actor"])
@@ -68,26 +73,22 @@ class Cql:
         return self.sample(s[:, None].expand(-1, noise.shape[1], -1), noise)
 
     def value(self, s: Tensor, noise: Tensor) -> Tensor:
-        repeated = s[:, None].expand(-1, noise.shape[1], -1)
+        repeated = self.standard(s)[:, None].expand(-1, noise.shape[1], -1)
         return self.critics[0](repeated, self.sample(repeated, noise)[0])[..., 0].mean(1)
 
     def act(self, s: Tensor) -> Tensor:
-        return torch.tanh(self.actor(s)[:, : self.a])
+        return torch.tanh(self.actor(self.standard(s))[:, : self.a])
 
     def update(self, batch: Sequence[Tensor], noise: Mapping[str, Tensor]) -> list[float]:
         """One update; the critics' and the actor's loss, the temperature and the mean target."""
         s, a, r, next_s, done = batch
+        s, next_s = self.standard(s), self.standard(next_s)
         new_a, log_pi = self.sample(s, noise["actor"])
         temperature_loss = -(self.log_temperature * (log_pi - self.a).detach()).mean()
         step(self.temperature_adam, temperature_loss)
         temperature = self.log_temperature.exp().detach()
-        self.updates += 1
-        if self.updates <= self.cloning:
-            mode = torch.tanh(self.actor(s)[:, : self.a])
-            wanted = -50 * ((a - mode) ** 2).sum(-1)
-        else:
-            wanted = torch.min(*(critic(s, new_a)[:, 0] for critic in self.critics))
-        actor_loss = (temperature * log_pi - wanted).mean()
+        q = torch.min(*(critic(s, new_a)[:, 0] for critic in self.critics))
+        actor_loss = (temperature * log_pi - q).mean()
 
         with torch.no_grad():
             next_a, _ = self.sample(next_s, noise["target"])

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw
-from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.interface import Batch, Fuse, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state
 
 HIDDEN = (64, 64)
@@ -51,7 +51,9 @@ class ValueFunction:
         """V(s) (...), for normalised observations (..., s)."""
         return self._scaled(state["value"], normalised) * state["value_scale"]
 
-    def fit(self, state: State, normalised: Tensor, targets: Tensor, noise: Tensor) -> State:
+    def fit(
+        self, fuse: Fuse, state: State, normalised: Tensor, targets: Tensor, noise: Tensor
+    ) -> State:
         """Some steps of Adam on minibatches, drawn with replacement, of mean (V(s) - target)^2.
 
         Args:
@@ -60,16 +62,20 @@ class ValueFunction:
             noise: as `noise` describes.
         """
         # `descend` counts for Adam's correction by `updates`: here the value function's own.
-        fitted = dict(state, updates=state["value_updates"])
+        own = {name: state[name] for name in ("value", "value_moments")}
+        own, descended = {**own, "updates": state["value_updates"]}, fuse(self.descended)
+        targets = targets / state["value_scale"]
         for rows in (noise * len(targets)).long():
-            x, y = normalised[rows], targets[rows] / state["value_scale"]
-            fitted["updates"] = fitted["updates"] + 1
+            own = descended(own, normalised[rows], targets[rows])
+        return {**state, **own, "updates": state["updates"], "value_updates": own["updates"]}
 
-            def loss(value: Tensor, x: Tensor = x, y: Tensor = y) -> Tensor:
-                return ((self._scaled(value, x) - y) ** 2).mean()
-
-            fitted, _ = descend(fitted, "value", LEARNING_RATE, loss)
-        return dict(fitted, updates=state["updates"], value_updates=fitted["updates"])
+    def descended(self, own: State, x: Tensor, y: Tensor) -> State:
+        """One step of Adam on  mean (V(x) - y)^2, in units of `value_scale`."""
+        own = dict(own, updates=own["updates"] + 1)
+        new, _ = descend(
+            own, "value", LEARNING_RATE, lambda value: ((self._scaled(value, x) - y) ** 2).mean()
+        )
+        return new
 
     def _scaled(self, value: Tensor, normalised: Tensor) -> Tensor:
         bounded = normalised.clamp(-INPUT_LIMIT, INPUT_LIMIT)

@@ -21,17 +21,19 @@ from torch.nn.functional import mse_loss
 
 from otc_dist.algorithms.advantages import ValueFunction, generalised_advantages
 from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.dynamics import Ensemble, normalised_observations
-from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.dynamics import STATISTICS, Ensemble, normalised_observations
+from otc_dist.algorithms.interface import Batch, Fuse, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, value_and_gradient
-from otc_dist.algorithms.trust_region import Step, trust_region_step
+from otc_dist.algorithms.trust_region import Step, gauss_newton_product, trust_region_step
 from otc_dist.spec import Task
 
 AVERAGED_SHARE = 0.1  # of the updates made: the longest that weights are averaged over
 # The Fisher matrix is computed from every ninth state: a tenth was enough for TRPO's authors.
 # 9 and the usual batch of 128 have no common divisor, so that all rollouts contribute.
 FISHER_STRIDE = 9
-PART = 2048  # states of the rollouts judged at once: all of them would take 100 MB of layers
+# States of the rollouts judged at once: all would take 100 MB of layers. An eighth of the usual
+# 128 x 100, so that what judges a part is compiled once and not again for a remainder.
+PART = 1600
 
 
 class Rollouts(NamedTuple):
@@ -187,12 +189,12 @@ class Bremen:
             "value": self.value_function.noise(),
         }
 
-    def improve(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def improve(self, fuse: Fuse, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
         """Rollouts, a trust-region step of the policy, then a fit of the value function.
 
         The order is BREMEN's: the value function has not seen the rollouts that it judges.
         """
-        rollouts = self.rollouts(state, batch, noise)
+        rollouts = self.rollouts(fuse, state, batch, noise)
         visited = torch.cat((rollouts.observations, rollouts.last.unsqueeze(0)))
         normalised = normalised_observations(state, visited)
         values = self.value_function.values(state, normalised)
@@ -200,9 +202,9 @@ class Bremen:
             rollouts.rewards, rollouts.ends, values, self.discount, self.trace
         )
         observations = normalised[:-1].flatten(0, 1)
-        step = self.step(state["policy"], observations, rollouts.actions, advantages)
-        targets = advantages + values[:-1]
-        new = self.value_function.fit(state, observations, targets.flatten(), noise["value"])
+        step = self.step(fuse, state["policy"], observations, rollouts.actions, advantages)
+        targets = (advantages + values[:-1]).flatten()
+        new = self.value_function.fit(fuse, state, observations, targets, noise["value"])
         metrics = (
             rollouts.rewards.mean(),
             rollouts.ends.mean(),
@@ -213,7 +215,7 @@ class Bremen:
         )
         return dict(new, policy=step.parameters), torch.stack(metrics)
 
-    def rollouts(self, state: State, batch: Batch, noise: Draws) -> Rollouts:
+    def rollouts(self, fuse: Fuse, state: State, batch: Batch, noise: Draws) -> Rollouts:
         """Rollouts of the policy from the batch's states.
 
         At each step one model, drawn at random, moves all of them, as in BREMEN's code. Where an
@@ -222,23 +224,43 @@ class Bremen:
         models = self.ensemble.network.apart(state["models_average"])
         which = (noise["model"] * self.models).long()
         restarts = (noise["restart"] * len(batch.observation)).long()
-        observation = batch.observation
+        known = {name: state[name] for name in ("policy", *STATISTICS)}
+        move, observation = fuse(self.move), batch.observation
         steps = []
         for t in range(self.horizon):
-            mean = self.mean(state["policy"], normalised_observations(state, observation))
-            drawn = mean + self.std * noise["action"][t]
-            action = drawn.clamp(-1, 1)
-            following = self.ensemble.predict(models[which[t]], state, observation, action)
-            reward = self.task.reward(observation, action, following)
-            end = self.task.terminated(following)
-            steps.append((observation, drawn, reward, end.to(reward.dtype)))
             start = batch.observation[restarts[t]]
-            observation = torch.where(end.unsqueeze(-1), start, following)
+            *moved, following = move(
+                known, models[which[t]], observation, noise["action"][t], start
+            )
+            steps.append((observation, *moved))
+            observation = following
         observations, actions, rewards, ends = map(torch.stack, zip(*steps, strict=True))
         return Rollouts(observations, actions, rewards, ends, observation)
 
+    def move(
+        self, known: State, model: Tensor, observation: Tensor, noise: Tensor, start: Tensor
+    ) -> tuple[Tensor, ...]:
+        """One step of all rollouts by one model: actions, rewards, ends, and the states after it.
+
+        Args:
+            start: (B, s), where those that end begin again.
+        """
+        mean = self.mean(known["policy"], normalised_observations(known, observation))
+        drawn = mean + self.std * noise
+        action = drawn.clamp(-1, 1)
+        following = self.ensemble.predict(model, known, observation, action)
+        reward = self.task.reward(observation, action, following)
+        end = self.task.terminated(following)
+        after = torch.where(end.unsqueeze(-1), start, following)
+        return drawn, reward, end.to(reward.dtype), after
+
     def step(
-        self, policy: Tensor, observations: Tensor, actions: Tensor, advantages: Tensor
+        self,
+        fuse: Fuse,
+        policy: Tensor,
+        observations: Tensor,
+        actions: Tensor,
+        advantages: Tensor,
     ) -> Step:
         """One trust-region step of the policy.
 
@@ -252,33 +274,50 @@ class Bremen:
         """
         centred = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
         weights, actions = centred.flatten() / centred.numel(), actions.flatten(0, 1)
-        old = torch.cat([self.mean(policy, part) for part in torch.split(observations, PART)])
-        arrays = (observations, actions, weights, old)
-        parts = list(zip(*(torch.split(array, PART) for array in arrays), strict=True))
-        variance = self.std**2
-
-        def divergence(mean: Tensor, old: Tensor) -> Tensor:
-            return ((mean - old) ** 2).sum() / (2 * variance)
-
-        def judged(policy: Tensor, part: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
-            seen, actions, weights, old = part
-            mean = self.mean(policy, seen)
-            distances = ((actions - old) ** 2 - (actions - mean) ** 2).sum(-1)
-            ratio = (distances / (2 * variance)).exp()
-            return (ratio - 1) @ weights, divergence(mean, old) / len(observations)
+        slope, judge, fisher = fuse(self.slope), fuse(self.judge), fuse(self.fisher)
+        parts, gradient = [], torch.zeros_like(policy)
+        split = (torch.split(rows, PART) for rows in (observations, actions, weights))
+        for part in zip(*split, strict=True):
+            old, share = slope(policy, *part)
+            parts.append((*part, old))
+            gradient = gradient + share
 
         def outcome(policy: Tensor) -> tuple[Tensor, Tensor]:
-            gains, divergences = zip(*(judged(policy, part) for part in parts), strict=True)
-            return torch.stack(gains).sum(), torch.stack(divergences).sum()
+            judged = [judge(policy, *part) for part in parts]
+            gain, divergence = torch.stack([torch.stack(one) for one in judged]).sum(0)
+            return gain, divergence / len(observations)
 
-        def gradient(part: tuple[Tensor, ...]) -> Tensor:
-            return value_and_gradient(lambda policy: judged(policy, part)[0], policy)[1]
-
-        some, old_some = observations[::FISHER_STRIDE], old[::FISHER_STRIDE]
+        some = observations[::FISHER_STRIDE].contiguous()
         return trust_region_step(
-            policy,
-            torch.stack([gradient(part) for part in parts]).sum(0),
-            outcome,
-            lambda policy: divergence(self.mean(policy, some), old_some) / len(some),
-            self.radius,
+            policy, gradient, outcome, lambda vector: fisher(policy, some, vector), self.radius
         )
+
+    def slope(
+        self, policy: Tensor, observations: Tensor, actions: Tensor, weights: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """mu_old (N, a), and the gradient of  sum_i w_i pi(a_i|s_i) / pi_old(a_i|s_i)  (n,)."""
+        old = self.mean(policy, observations)
+        _, gradient = value_and_gradient(
+            lambda new: self._surprise(self.mean(new, observations), old, actions) @ weights, policy
+        )
+        return old, gradient
+
+    def judge(
+        self, policy: Tensor, observations: Tensor, actions: Tensor, weights: Tensor, old: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """sum_i w_i (pi(a_i|s_i) / pi_old(a_i|s_i) - 1), and sum_i KL(pi_old(s_i) || pi(s_i))."""
+        new = self.mean(policy, observations)
+        divergence = ((new - old) ** 2).sum() / (2 * self.std**2)
+        return self._surprise(new, old, actions) @ weights, divergence
+
+    def _surprise(self, new: Tensor, old: Tensor, actions: Tensor) -> Tensor:
+        """pi(a|s) / pi_old(a|s) - 1 (N,), for means and actions (N, a)."""
+        distances = ((actions - old) ** 2 - (actions - new) ** 2).sum(-1)
+        return torch.expm1(distances / (2 * self.std**2))
+
+    def fisher(self, policy: Tensor, observations: Tensor, vector: Tensor) -> Tensor:
+        """F v (n,), F the Hessian of E[KL(pi_old || pi)] at pi_old = pi."""
+        product = gauss_newton_product(
+            lambda policy: self.mean(policy, observations), policy, vector
+        )
+        return product / (self.std**2 * len(observations))

@@ -4,7 +4,8 @@
 Soft actor-critic whose critics are also pushed down wherever they are high and up on the data.
 The equations and the constants that Table 3 of the OTC paper leaves open follow the authors' code
 (aviralkumar2907/CQL, its settings for MuJoCo) as it is run without a Lagrange multiplier: the
-backed-up value has no entropy term, and the policy is not warmed up by behaviour cloning.
+backed-up value has no entropy term. Unlike there, the policy is not warmed up by behaviour cloning,
+and networks see standardised states, both as in CORL.
 """
 
 import math
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.critics import ActorCritic, td_target
+from otc_dist.algorithms.critics import StandardisedActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.gaussian import mode_squashed, sample_squashed
 from otc_dist.algorithms.interface import Batch, State
@@ -24,23 +25,20 @@ from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
 
 LOG_STD_RANGE = (-5.0, 2.0)
 PARTS = 4  # the critics judge thousands of actions: of so many parts of a batch, one at a time
-CLONE_STD = 0.1  # of the data's actions around the policy's while it clones; ours
 
 
 @dataclass(frozen=True)
-class Cql(ActorCritic):
+class Cql(StandardisedActorCritic):
     """CQL for one agent with continuous actions in [-1, 1].
 
     Attributes:
         actor_learning_rate: the temperature's as well, as in the authors' code.
         weight: w of the conservative term.
         action_samples: actions of each of the three kinds in the conservative term.
-        cloning: updates at the start in which the actor imitates the data.
     """
 
     weight: float
     action_samples: int
-    cloning: int
 
     metric_names: tuple[str, ...] = ("critic_loss", "actor_loss", "temperature", "q")
 
@@ -49,10 +47,12 @@ class Cql(ActorCritic):
         return Mlp((self.observation_size,), self.hidden, 2 * self.action_size)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
-        """Networks actor and critic, the latter with a target, and log_temperature (1,)."""
+        """Networks actor and critic, the latter with a target, log_temperature (1,), and the
+        `statistics` of B_0.
+        """
         actor, critic = self.actor.initialise(random), self.critics.initialise(random)
         networks = {"actor": actor, "critic": critic, "log_temperature": np.zeros(1)}
-        return fresh_state(networks, targets=("critic",))
+        return {**fresh_state(networks, targets=("critic",)), **self.statistics(offline)}
 
     def noise(self, batch_size: int) -> Mapping[str, Draw]:
         one, several = (batch_size, self.action_size), (self.action_samples, self.action_size)
@@ -70,6 +70,7 @@ class Cql(ActorCritic):
         The actor sees the new temperature; otherwise all see the state before the update.
         """
         new = dict(state, updates=state["updates"] + 1)
+        batch = self.standardised_batch(state, batch)
         states = torch.stack((batch.observation, batch.next_observation))
         means, log_stds = self.policy(state["actor"], states)
         here, there = (means[0], log_stds[0]), (means[1], log_stds[1])
@@ -83,13 +84,12 @@ class Cql(ActorCritic):
         )
         temperature = new["log_temperature"].exp()
 
-        cloning = new["updates"] <= self.cloning
         new, actor_loss = descend(
             new,
             "actor",
             self.actor_learning_rate,
             lambda actor: self.actor_loss(
-                actor, state["critic"], temperature, batch, noise["actor"], cloning
+                actor, state["critic"], temperature, batch.observation, noise["actor"]
             ),
         )
 
@@ -104,7 +104,7 @@ class Cql(ActorCritic):
         return new, torch.stack((critic_loss, actor_loss, temperature[0], target.mean()))
 
     def policy(self, actor: Tensor, observations: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log standard deviation (..., a) of the action before tanh."""
+        """Mean and log standard deviation (..., a) of the action before tanh, in standardised s."""
         mean, log_std = self.actor.apply(actor, observations).chunk(2, dim=-1)
         return mean, log_std.clamp(*LOG_STD_RANGE)
 
@@ -117,21 +117,13 @@ class Cql(ActorCritic):
         actor: Tensor,
         critic: Tensor,
         temperature: Tensor,
-        batch: Batch,
+        observations: Tensor,
         noise: Tensor,
-        cloning: Tensor,
     ) -> Tensor:
-        """mean [temperature log pi(a'|s) - min_j Q_j(s, a')], a' ~ pi(s) (Haarnoja et al., 2018).
-
-        Where the scalar `cloning` holds, the log likelihood of the data's a, normal with
-        CLONE_STD around tanh(mu), stands in the place of Q (up to a constant).
-        """
-        policy = self.policy(actor, batch.observation)
-        actions, log_density = sample_squashed(*policy, noise)
-        q = self.critics.minimum(critic, batch.observation, actions)
-        error = ((batch.action - mode_squashed(policy[0])) ** 2).sum(-1)
-        wanted = torch.where(cloning, -error / (2 * CLONE_STD**2), q)
-        return (temperature * log_density - wanted).mean()
+        """mean [temperature log pi(a|s) - min_j Q_j(s, a)], a ~ pi(s) (Haarnoja et al., 2018)."""
+        actions, log_density = sample_squashed(*self.policy(actor, observations), noise)
+        q = self.critics.minimum(critic, observations, actions)
+        return (temperature * log_density - q).mean()
 
     def target(
         self, state: State, batch: Batch, there: tuple[Tensor, Tensor], noise: Tensor
@@ -194,14 +186,15 @@ class Cql(ActorCritic):
 
     def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
         """The squashed mean of the policy."""
-        return mode_squashed(self.policy(state["actor"], observations)[0])
+        s = self.standardised(state, observations)
+        return mode_squashed(self.policy(state["actor"], s)[0])
 
     def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
         return {"value": Draw("normal", (count, samples, self.action_size))}
 
     def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
         """V(s): the mean of Q_1 over actions sampled from the policy (B,)."""
-        s = observations.unsqueeze(1)
+        s = self.standardised(state, observations).unsqueeze(1)
         actions, _ = sample_squashed(*self.policy(state["actor"], s), noise["value"])
         return self.critics.first(state["critic"], s, actions).mean(-1)
 

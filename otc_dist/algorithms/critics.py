@@ -9,6 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.moments import moments
 from otc_dist.algorithms.networks import Mlp, descend
 
 
@@ -92,3 +93,30 @@ class ActorCritic:
     def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
         """Q_1(s, a) (...)."""
         return self.critics.first(state["critic"], observations, actions)
+
+
+@dataclass(frozen=True)
+class StandardisedActorCritic(ActorCritic):
+    """An `ActorCritic` whose networks see states standardised by B_0, as CORL's and TD3+BC's do.
+
+    Its state holds `state_mean` and `state_std` (s,), which never change.
+    """
+
+    @staticmethod
+    def statistics(offline: Batch) -> dict[str, np.ndarray]:
+        """`state_mean` and `state_std` of B_0."""
+        mean, std = moments(offline.observation.T)
+        return {"state_mean": mean.numpy(), "state_std": std.numpy()}
+
+    @staticmethod
+    def standardised(state: State, observations: Tensor) -> Tensor:
+        return (observations - state["state_mean"]) / state["state_std"]
+
+    def standardised_batch(self, state: State, batch: Batch) -> Batch:
+        return batch._replace(
+            observation=self.standardised(state, batch.observation),
+            next_observation=self.standardised(state, batch.next_observation),
+        )
+
+    def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
+        return super().q(state, self.standardised(state, observations), actions)

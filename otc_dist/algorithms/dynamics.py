@@ -16,6 +16,9 @@ from otc_dist.algorithms.interface import Batch
 from otc_dist.algorithms.moments import moments
 from otc_dist.algorithms.networks import Mlp
 
+STATISTICS = tuple(
+    f"{part}_{moment}" for part in ("observation", "action", "change") for moment in ("mean", "std")
+)
 PREDICTION_LIMIT = 1e5  # BREMEN's: keeps a diverging rollout finite
 
 

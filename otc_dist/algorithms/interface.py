@@ -5,8 +5,8 @@ state, a dictionary of tensors; everything random comes in as noise. So the same
 compiled, in a CUDA graph, or eagerly, and a test can run them in float64.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, ParamSpec, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -16,6 +16,14 @@ from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.transitions import RowLayout
 
 State = dict[str, Tensor]
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Fuse(Protocol):
+    """`Engine.fuse`: the same function with the same results up to rounding."""
+
+    def __call__(self, function: Callable[P, T], /) -> Callable[P, T]: ...
 
 
 class Batch(NamedTuple):
@@ -125,6 +133,11 @@ class Improving(Protocol):
         """The random arrays that one `improve` from a batch of this size needs."""
         ...
 
-    def improve(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
-        """One improvement from the states of a batch, and `improvement_metric_names`' values."""
+    def improve(self, fuse: Fuse, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+        """One improvement from the states of a batch, and `improvement_metric_names`' values.
+
+        Args:
+            fuse: how the engine runs a pure function; an improvement is made of several, since
+                what to compute next depends on what was found.
+        """
         ...

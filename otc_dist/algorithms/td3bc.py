@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
-from otc_dist.algorithms.critics import ActorCritic, td_target
+from otc_dist.algorithms.critics import StandardisedActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.moments import moments
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak, when
 
 TARGET_NOISE = 0.2  # standard deviation of the noise on a', in units of the action bound
@@ -24,7 +23,7 @@ POLICY_DELAY = 2  # updates of the critics to one of the policy and of all targe
 
 
 @dataclass(frozen=True)
-class Td3Bc(ActorCritic):
+class Td3Bc(StandardisedActorCritic):
     """TD3+BC for one agent with continuous actions in [-1, 1].
 
     Attributes:
@@ -40,16 +39,14 @@ class Td3Bc(ActorCritic):
         return Mlp((self.observation_size,), self.hidden, self.action_size)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
-        """Networks critic and actor with targets; B_0's state_mean and state_std (s,)."""
+        """Networks critic and actor with targets, and the `statistics` of B_0."""
         networks = {
             "critic": self.critics.initialise(random),
             "actor": self.actor.initialise(random),
         }
-        mean, std = moments(offline.observation.T)
         return {
             **fresh_state(networks, targets=("critic", "actor")),
-            "state_mean": mean.numpy(),
-            "state_std": std.numpy(),
+            **self.statistics(offline),
         }
 
     def noise(self, batch_size: int) -> Mapping[str, Draw]:
@@ -62,10 +59,7 @@ class Td3Bc(ActorCritic):
         is one and 0 elsewhere, so that its mean over updates is its mean over the actor's.
         """
         new = dict(state, updates=state["updates"] + 1)
-        batch = batch._replace(
-            observation=self._normalise(state, batch.observation),
-            next_observation=self._normalise(state, batch.next_observation),
-        )
+        batch = self.standardised_batch(state, batch)
 
         target = self.target(state, batch, noise["target"])
         new, critic_loss = self.fit_critics(new, batch, target)
@@ -117,10 +111,7 @@ class Td3Bc(ActorCritic):
 
     def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
         """pi(s)."""
-        return self._action(state["actor"], self._normalise(state, observations))
-
-    def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
-        return super().q(state, self._normalise(state, observations), actions)
+        return self._action(state["actor"], self.standardised(state, observations))
 
     def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
         return {}
@@ -129,9 +120,5 @@ class Td3Bc(ActorCritic):
         """V(s) = Q_1(s, pi(s)) (B,): the policy is deterministic."""
         return self.q(state, observations, self.act(state, observations, noise))
 
-    def _action(self, actor: Tensor, normalised: Tensor) -> Tensor:
-        return self.actor.apply(actor, normalised).tanh()
-
-    @staticmethod
-    def _normalise(state: State, observations: Tensor) -> Tensor:
-        return (observations - state["state_mean"]) / state["state_std"]
+    def _action(self, actor: Tensor, standardised: Tensor) -> Tensor:
+        return self.actor.apply(actor, standardised).tanh()

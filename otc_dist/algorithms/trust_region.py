@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.func import jvp, vjp
 
 # As in BREMEN's code.
 DAMPING = 0.1  # added to the Fisher matrix's diagonal
@@ -38,7 +39,7 @@ def trust_region_step(
     parameters: Tensor,
     gradient: Tensor,
     outcome: Callable[[Tensor], tuple[Tensor, Tensor]],
-    divergence: Callable[[Tensor], Tensor],
+    fisher: Product,
     radius: float,
 ) -> Step:
     """One step from theta_old.
@@ -47,15 +48,14 @@ def trust_region_step(
         parameters: theta_old (n,).
         gradient: of L at theta_old (n,).
         outcome: L(theta) - L(theta_old) and E[KL(pi_old || pi_theta)], for the line search.
-        divergence: E[KL(pi_old || pi_theta)], perhaps over fewer states, for its Hessian at
-            theta_old, which is the Fisher matrix.
+        fisher: v -> F v, F the Hessian of E[KL(pi_old || pi_theta)] at theta_old, perhaps over
+            fewer states.
         radius: delta, nats.
 
     Returns:
         The longest step that is within the radius and has more than ACCEPTED_SHARE of the gain
         that the gradient promises; theta_old if there is none.
     """
-    fisher = hessian_product(divergence, parameters)
 
     def damped(vector: Tensor) -> Tensor:
         return fisher(vector) + DAMPING * vector
@@ -78,16 +78,16 @@ def trust_region_step(
     return Step(parameters, nothing, nothing, nothing)
 
 
-def hessian_product(function: Callable[[Tensor], Tensor], parameters: Tensor) -> Product:
-    """v -> H v (n,), H the Hessian of a scalar function at `parameters` (n,)."""
-    with torch.enable_grad():
-        leaf = parameters.detach().requires_grad_()
-        (gradient,) = torch.autograd.grad(function(leaf), leaf, create_graph=True)
+def gauss_newton_product(
+    function: Callable[[Tensor], Tensor], parameters: Tensor, vector: Tensor
+) -> Tensor:
+    """J^T J v (n,), J the Jacobian of `function` at `parameters` (n,).
 
-    def product(vector: Tensor) -> Tensor:
-        (found,) = torch.autograd.grad(gradient, leaf, vector, retain_graph=True)
-        return found
-
+    Of the means of normal distributions of one fixed deviation, this over its square is the
+    Hessian of their KL divergence where they are equal, at less than half of its cost.
+    """
+    change: Tensor = jvp(function, (parameters,), (vector,))[1]
+    product: Tensor = vjp(function, parameters)[1](change)[0]
     return product
 
 

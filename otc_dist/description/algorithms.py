@@ -92,13 +92,10 @@ class CqlSection(LargeSection):
     critic_learning_rate: float = Field(default=1e-4, gt=0)
     target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
     weight: float = Field(
-        default=20.0, ge=0, description="w of the conservative term (its authors: 5 or 10)"
+        default=10.0, ge=0, description="w of the conservative term (its authors: 5 or 10)"
     )
     action_samples: int = Field(
         default=10, ge=1, description="actions of each kind in the conservative term"
-    )
-    cloning: int = Field(
-        default=20_000, ge=0, description="first updates, in which the actor imitates the data"
     )
 
 

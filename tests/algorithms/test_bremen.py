@@ -10,10 +10,11 @@ from otc_dist.algorithms.advantages import generalised_advantages
 from otc_dist.algorithms.bremen import Bremen
 from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import Batch, State
+from otc_dist.engine import Engine
 
 from .. import references_bremen
 from .arrays import double, first, random_batch
-from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure
+from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure, plainly
 
 SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
 SMALL_SIZES = [(5, 1, (16, 16)), (7, 3, (12, 8))]  # an explicit Fisher matrix is large
@@ -74,7 +75,7 @@ def improved(bremen: Bremen, state: State, batch: Batch, seed: int) -> tuple[Sta
     wanted = bremen.improvement_noise(len(batch.observation))
     noise = first(draw(np.random.default_rng(seed), wanted, 1))
     with torch.no_grad():
-        return bremen.improve(state, batch, noise)
+        return bremen.improve(plainly, state, batch, noise)
 
 
 def plain_of(bremen: Bremen, state: State, offline: Batch) -> references_bremen.Bremen:
@@ -116,8 +117,9 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
 
 @pytest.mark.parametrize(("s", "a", "hidden"), SMALL_SIZES)
 def test_improvements_equal_the_plain_version_in_float64(
-    s: int, a: int, hidden: tuple[int, ...]
+    s: int, a: int, hidden: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("otc_dist.algorithms.bremen.PART", 60)  # of 7 x 32: with a remainder
     bremen = make(s, a, hidden)
     random = np.random.default_rng(1)
     state, offline = start(bremen, random)
@@ -128,7 +130,7 @@ def test_improvements_equal_the_plain_version_in_float64(
         batch = random_batch(random, s, a, BATCH)
         noise = first(draw(random, bremen.improvement_noise(BATCH), 1))
         with torch.no_grad():
-            state, metrics = bremen.improve(state, batch, noise)
+            state, metrics = bremen.improve(plainly, state, batch, noise)
         expected = plain.improve(batch.observation, noise)
         ends, length = expected[1], expected[-1]
         assert 0 < ends < 1 and length > 0  # episodes end, and a step is taken
@@ -205,17 +207,17 @@ def test_improvements_raise_the_reward_in_the_models() -> None:
     state, batch = taught(bremen, random)
     state = bremen.begin_improvement(state)
     judged = first(draw(random, bremen.improvement_noise(len(batch.action)), 1))
-    before = bremen.rollouts(state, batch, judged).rewards.mean()
+    before = bremen.rollouts(plainly, state, batch, judged).rewards.mean()
     for seed in range(20):
         state, _ = improved(bremen, state, batch, seed)
-    assert bremen.rollouts(state, batch, judged).rewards.mean() > before + 1.0
+    assert bremen.rollouts(plainly, state, batch, judged).rewards.mean() > before + 1.0
 
 
 def test_where_a_rollout_ends_another_starts_from_a_state_of_the_batch() -> None:
     bremen = make(4, 2, (8, 8), horizon=20)
     state, batch = start(bremen, np.random.default_rng(6))
     noise = first(draw(np.random.default_rng(0), bremen.improvement_noise(BATCH), 1))
-    rollouts = bremen.rollouts(state, batch, noise)
+    rollouts = bremen.rollouts(plainly, state, batch, noise)
     following = torch.cat((rollouts.observations[1:], rollouts.last.unsqueeze(0)))
     ended = rollouts.ends.bool()
     assert ended.any() and not ended.all()
@@ -280,3 +282,23 @@ def test_diverging_models_stay_finite() -> None:
 @pytest.mark.slow
 def test_compiled_agrees_with_eager() -> None:
     assert_engines_agree(make(5, 2, (16, 16)), (5, 2))
+
+
+@pytest.mark.slow
+def test_compiled_improvements_agree_with_eager() -> None:
+    bremen = make(4, 2, (8, 8), task=Endless())
+    state, batch = start(bremen, np.random.default_rng(12))
+    state = {name: x if "updates" in name else x.float() for name, x in state.items()}
+    batch = Batch(*(field.float() for field in batch))
+    found = []
+    for engine in (Engine("eager"), Engine("compiled")):
+        improving, history = state, []
+        for seed in range(3):
+            wanted = bremen.improvement_noise(BATCH)
+            noise = first(draw(np.random.default_rng(seed), wanted, 1))
+            noise = {name: tensor.float() for name, tensor in noise.items()}
+            with torch.no_grad():
+                improving, metrics = bremen.improve(engine.fuse, improving, batch, noise)
+            history.append(metrics)
+        found.append(torch.stack(history).numpy())
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-3, atol=1e-5)

@@ -30,6 +30,7 @@ from otc_dist.transitions import Transitions
 
 from ..brains import ONLINE, SMALL, SPEC, silent, transitions, unsaved
 from .arrays import random_batch, random_choices
+from .checks import plainly
 
 SECTIONS: dict[str, Any] = {
     section.model_fields["name"].default: section
@@ -38,7 +39,7 @@ SECTIONS: dict[str, Any] = {
 # Where the defaults would take time.
 SMALLER: dict[str, dict[str, object]] = {
     "bcq": {"acting_candidates": 7},
-    "cql": {"action_samples": 3, "cloning": 4},
+    "cql": {"action_samples": 3},
     "bremen": {"models": 2, "improvements": 1, "horizon": 3},
 }
 CHOICES = 4
@@ -212,12 +213,12 @@ def test_an_improvement_is_a_pure_function(name: str) -> None:
     begun = algorithm.begin_improvement({**trial.state, "sampler_ratio": torch.ones(3)})
     before = {key: tensor.clone() for key, tensor in begun.items()}
     noise = trial.draws(algorithm.improvement_noise(BATCH))
-    new, metrics = algorithm.improve(begun, trial.batch, noise)
+    new, metrics = algorithm.improve(plainly, begun, trial.batch, noise)
     assert metrics.shape == (len(algorithm.improvement_metric_names),)
     assert metrics.isfinite().all()
     assert all(torch.equal(tensor, before[key]) for key, tensor in begun.items())
     assert new.keys() == begun.keys()
-    again, _ = algorithm.improve(begun, trial.batch, noise)
+    again, _ = algorithm.improve(plainly, begun, trial.batch, noise)
     assert all(torch.equal(tensor, again[key]) for key, tensor in new.items())
 
 

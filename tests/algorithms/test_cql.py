@@ -15,6 +15,7 @@ from .arrays import double, first, random_batch
 from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure
 
 SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
+FROZEN = {"state_mean", "state_std"}
 
 
 def make(s: int, a: int, hidden: tuple[int, ...]) -> Cql:
@@ -28,7 +29,6 @@ def make(s: int, a: int, hidden: tuple[int, ...]) -> Cql:
         target_rate=0.05,
         weight=5.0,
         action_samples=6,
-        cloning=30,
     )
 
 
@@ -43,11 +43,15 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
 ) -> None:
     random = np.random.default_rng(0)
     cql = make(s, a, hidden)
-    state, _ = start(cql, random)
+    state, offline = start(cql, random)
     # Another target than the network, so that a mistaken use of either shows.
     state["critic_target"] = start(cql, random)[0]["critic"]
-    plain = references_cql.Cql(s, a, hidden, 3e-4, 5e-4, tau=0.05, weight=5.0, cloning=30)
+    plain = references_cql.Cql(s, a, hidden, 3e-4, 5e-4, tau=0.05, weight=5.0)
     plain.load(state)
+    plain.fit_normaliser(offline.observation)
+    for name, statistic in (("state_mean", plain.mean), ("state_std", plain.std)):
+        np.testing.assert_allclose(state[name], statistic, rtol=1e-6)
+        state[name] = statistic  # the state's own is rounded to float32
     state = assert_equals_plain(cql, plain, state, (s, a))
 
     states = torch.from_numpy(random.standard_normal((6, s)))
@@ -56,11 +60,14 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
         actions, values = plain.act(states), plain.value(states, noise["value"])
     np.testing.assert_allclose(cql.act(state, states, {}), actions, atol=1e-10)
     np.testing.assert_allclose(cql.value(state, states, noise), values, atol=1e-10)
+    with torch.no_grad():
+        judged = plain.critics[0](plain.standard(states), actions)[:, 0]
+    np.testing.assert_allclose(cql.q(state, states, actions), judged, atol=1e-10)
 
 
 def test_update_leaves_its_arguments_alone_and_passes_on_what_is_not_its_own() -> None:
     cql = make(4, 2, (8, 8))
-    assert_pure(cql, *start(cql, np.random.default_rng(1)))
+    assert_pure(cql, *start(cql, np.random.default_rng(1)), FROZEN)
 
 
 def test_target_at_a_terminal_state_is_the_reward() -> None:

@@ -252,9 +252,7 @@ def test_cql(noise: Noise, monkeypatch: pytest.MonkeyPatch) -> None:
     takes a sample of it. Nor the temperature's loss, which is of the temperature in d3rlpy and of
     its logarithm in the authors' code; the sign of the gradient is the same.
     """
-    cql = Cql(
-        **SIZES, **RATES, action_size=A, target_rate=0.05, weight=5.0, action_samples=6, cloning=0
-    )
+    cql = Cql(**SIZES, **RATES, action_size=A, target_rate=0.05, weight=5.0, action_samples=6)
     peer = Peer(
         "CQL", A, conservative_weight=5.0, n_action_samples=6, alpha_learning_rate=0.0,
         alpha_threshold=0.0, initial_temperature=0.7, temp_learning_rate=0.0,
@@ -288,9 +286,8 @@ def test_cql(noise: Noise, monkeypatch: pytest.MonkeyPatch) -> None:
         state["actor"],
         state["critic"],
         torch.tensor(0.7).double(),
-        batch,
+        batch.observation,
         draws["actor"],
-        torch.tensor(False),
     )
     torch.testing.assert_close(mine, actor_loss)
 
