@@ -31,9 +31,9 @@ AVERAGED_SHARE = 0.1  # of the updates made: the longest that weights are averag
 # The Fisher matrix is computed from every ninth state: a tenth was enough for TRPO's authors.
 # 9 and the usual batch of 128 have no common divisor, so that all rollouts contribute.
 FISHER_STRIDE = 9
-# States of the rollouts judged at once: all would take 100 MB of layers. An eighth of the usual
-# 128 x 100, so that what judges a part is compiled once and not again for a remainder.
-PART = 1600
+# States of the rollouts judged at once: all of them would take 100 MB of layers. A twentieth of the
+# usual 128 x 100, so that what judges a part is compiled once and not again for a remainder.
+PART = 640
 
 
 class Rollouts(NamedTuple):
