@@ -1,9 +1,14 @@
-"""What all tests share: they leave the user's cache alone."""
+"""What all tests share: they leave the user's cache alone, and have one thread, as learners do."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+# Before torch is imported. As many test processes as cores, each with as many threads, wait for
+# one another most of the time.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # The smallest run with every phase.
 TINY = (
