@@ -88,9 +88,9 @@ class Engine:
         if self.device.type == "cpu":
             options["cpp_wrapper"] = True
             if torch.backends.mkldnn.is_available():  # type: ignore[no-untyped-call]
-                from otc_dist.products import LargeProducts  # the compiler takes a second to import
+                from otc_dist.products import Products  # the compiler takes a second to import
 
-                options["post_grad_custom_pre_pass"] = LargeProducts()
+                options["post_grad_custom_pre_pass"] = Products()
         return torch.no_grad()(
             torch.compile(anatomy.copy(), fullgraph=True, dynamic=False, options=options)
         )

@@ -1,7 +1,9 @@
-"""Large matrix products by oneDNN, in code that torch compiles for the CPU.
+"""Matrix products in the form that is fastest, in code that torch compiles for the CPU.
 
-torch computes float32 products by MKL, which leaves half of an AMD processor's vector width
-unused. oneDNN, which torch brings for convolutions, uses all of it. Results differ by rounding.
+torch computes float32 products by MKL, which leaves half of some AMD processors' vector width
+unused: large ones go to oneDNN, which torch brings for convolutions, and which uses all of it. And
+MKL is slow where a product has a few columns: thin ones are computed transposed. Results differ by
+rounding.
 """
 
 from typing import Any
@@ -17,6 +19,8 @@ from torch.fx.node import map_arg
 
 LEAST = 2**20  # multiplications of two matrices from which oneDNN is the faster
 MOST = 8  # products in a batch, each of which is computed by itself
+THIN = range(2, 13)  # columns of a product that MKL computes in half of the time transposed
+TALL = 64  # rows, and inner dimension, from which that is so
 aten = torch.ops.aten
 
 
@@ -47,7 +51,7 @@ class _Product(LinearUnary):
 register_lowering(torch.ops.otc_dist.product.default, type_promotion_kind=None)(_Product.create)
 
 
-class LargeProducts(CustomGraphPass):
+class Products(CustomGraphPass):
     """A pass of torch's compiler over the operations of one graph."""
 
     def uuid(self) -> bytes:
@@ -58,10 +62,17 @@ class LargeProducts(CustomGraphPass):
         for operation in (aten.mm.default, aten.bmm.default):
             for node in graph.find_nodes(op="call_function", target=operation):
                 left, right = node.args
-                if _large(left.meta["val"], right.meta["val"]):
-                    with graph.inserting_before(node):
-                        node.replace_all_uses_with(_computed(graph, left, right))
-                    graph.erase_node(node)
+                *_, rows, inner = left.meta["val"].shape
+                columns = right.meta["val"].shape[-1]
+                with graph.inserting_before(node):
+                    if _large(left.meta["val"], right.meta["val"]):
+                        replacement = _computed(graph, left, right)
+                    elif columns in THIN and min(rows, inner) >= TALL:
+                        replacement = _transposed(graph, operation, left, right)
+                    else:
+                        continue
+                node.replace_all_uses_with(replacement)
+                graph.erase_node(node)
 
 
 def _large(left: Tensor, right: Tensor) -> bool:
@@ -80,6 +91,14 @@ def _computed(graph: Graph, left: Node, right: Node) -> Node:
         part = _call(graph, torch.ops.otc_dist.product.default, *pair)
         parts.append(_call(graph, aten.unsqueeze.default, part, 0))
     return _call(graph, aten.cat.default, parts)
+
+
+def _transposed(graph: Graph, operation: Any, left: Node, right: Node) -> Node:
+    """The same product as (right^T left^T)^T."""
+    order = [1, 0] if operation is aten.mm.default else [0, 2, 1]
+    flipped = [_call(graph, aten.permute.default, side, order) for side in (right, left)]
+    product = _call(graph, operation, *flipped)
+    return _call(graph, aten.permute.default, product, order)
 
 
 def _call(graph: Graph, operation: Any, *arguments: Any) -> Node:
