@@ -51,6 +51,7 @@ from otc_dist.description.algorithms import BremenSection
 from otc_dist.envs import registry
 from otc_dist.errors import run_main, unknown
 from otc_dist.learner import Learner
+from otc_dist.products import product
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 
@@ -141,6 +142,20 @@ def tuned(
     return learner, spec, data, online
 
 
+def rates() -> str:
+    """What one core makes of the products that large networks consist of.
+
+    MKL computes the peers' and oneDNN ours. Where both are equally fast, only what lies between
+    the products can be saved.
+    """
+    x, weight = torch.randn(128, 256), torch.randn(256, 256)
+    found = []
+    for name, multiply in (("MKL", lambda: x @ weight), ("oneDNN", lambda: product(x, weight))):
+        milliseconds = min(repeated(multiply)(turn) for turn in range(20))
+        found.append(f"{name} {2 * 128 * 256**2 / milliseconds / 1e6:.0f}")
+    return f"GFLOP/s: {', '.join(found)}"
+
+
 def table(entries: Sequence[Entry]) -> str:
     lines = [f"{'one update':<28}{'ms':>8}{'best':>8}{'÷ ours':>9}  target"]
     for made in entries:
@@ -179,7 +194,7 @@ def main(argv: list[str]) -> int:
 
     made = [each for name in names for each in entries(name, arguments.rounds)]
     interleave([row for each in made for row in (each.ours, *each.peers)], arguments.rounds)
-    print(f"batch 128, torch {torch.__version__}, one thread")
+    print(f"batch 128, torch {torch.__version__}, one thread; {rates()}")
     print(table(made))
     print(memory.table(names))
     return 0
