@@ -25,7 +25,7 @@ UPDATE = {
 }
 SELECTION = {"otc": 0.5, "balanced": 0.4}  # on top of an update, while tuning
 EMBEDDING_UPDATE = 0.6
-IMPROVEMENT = {"compiled": 150.0, "eager": 250.0, "cuda-graph": 150.0}  # BREMEN's, of its policy
+IMPROVEMENT = {"compiled": 150.0, "eager": 250.0, "cuda-graph": 150.0}  # BREMEN's; the last a guess
 ENGINES = {"compiled": 1.0, "eager": 4.0, "cuda-graph": 0.3}  # times as long
 ACT = 2.0  # one agent's answer for all copies, and the message both ways
 START_SECONDS = 6.0  # of all processes, up to their first sign of life

@@ -10,19 +10,17 @@ import re
 import shutil
 from collections.abc import Callable, Hashable, Sequence
 from types import FunctionType, MethodType
-from typing import Any, Literal, ParamSpec, TypeVar, cast
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor
 
 from otc_dist.algorithms.draws import Draws
-from otc_dist.algorithms.interface import State
+from otc_dist.algorithms.interface import P, State, T
 from otc_dist.cache import cache_root
 from otc_dist.description import EngineName
 from otc_dist.errors import UserError
 
-P = ParamSpec("P")
-T = TypeVar("T")
 Update = Callable[[State, Draws], tuple[State, Tensor]]
 Resolved = Literal["compiled", "cuda-graph", "eager"]
 VARIANTS = 256  # of one function in a process: agents differ in sizes, arms in samplers

@@ -62,6 +62,8 @@ class Products(CustomGraphPass):
         for operation in (aten.mm.default, aten.bmm.default):
             for node in graph.find_nodes(op="call_function", target=operation):
                 left, right = node.args
+                if left.meta["val"].dtype != torch.float32:
+                    continue
                 *_, rows, inner = left.meta["val"].shape
                 columns = right.meta["val"].shape[-1]
                 with graph.inserting_before(node):
@@ -78,7 +80,7 @@ class Products(CustomGraphPass):
 def _large(left: Tensor, right: Tensor) -> bool:
     *batch, rows, inner = left.shape
     size = rows * inner * right.shape[-1]
-    return left.dtype == torch.float32 and size >= LEAST and all(copies <= MOST for copies in batch)
+    return size >= LEAST and all(copies <= MOST for copies in batch)
 
 
 def _computed(graph: Graph, left: Node, right: Node) -> Node:
@@ -97,8 +99,8 @@ def _transposed(graph: Graph, operation: Any, left: Node, right: Node) -> Node:
     """The same product as (right^T left^T)^T."""
     order = [1, 0] if operation is aten.mm.default else [0, 2, 1]
     flipped = [_call(graph, aten.permute.default, side, order) for side in (right, left)]
-    product = _call(graph, operation, *flipped)
-    return _call(graph, aten.permute.default, product, order)
+    found = _call(graph, operation, *flipped)
+    return _call(graph, aten.permute.default, found, order)
 
 
 def _call(graph: Graph, operation: Any, *arguments: Any) -> Node:

@@ -22,8 +22,7 @@ class PlainCql:
         s, a, hidden = spec.observation_size, spec.action_size, section.hidden
         self.section, self.action_size = section, a
         self.minibatches = Minibatches(data, section.batch_size)
-        states = self.minibatches.fields[0]
-        self.mean, self.std = states.mean(0), states.std(0) + 1e-3
+        self.minibatches.standardise()
         self.actor, self.critics = mlp(s, hidden, 2 * a), TwinCritics(s + a, hidden)
         self.target_critics = deepcopy(self.critics)
         self.log_temperature = torch.zeros(1, requires_grad=True)
@@ -34,7 +33,6 @@ class PlainCql:
 
     def update(self) -> list[float]:
         s, a, r, next_s, done = self.minibatches.draw()
-        s, next_s = (s - self.mean) / self.std, (next_s - self.mean) / self.std
 
         chosen, log_density = self.sample(s)
         surplus = (log_density - self.action_size).detach()

@@ -26,6 +26,13 @@ class Minibatches:
         self.fields.append(torch.from_numpy(data.terminated.astype(np.float32)))
         self.batch_size = batch_size
 
+    def standardise(self) -> None:
+        """The states, once, beforehand."""
+        states = self.fields[0]
+        mean, std = states.mean(0), states.std(0) + 1e-3
+        for field in (0, 3):
+            self.fields[field] = (self.fields[field] - mean) / std
+
     def draw(self) -> list[Tensor]:
         """s (B, s), a (B, a), r (B,), s' (B, s) and terminated (B,)."""
         rows = torch.randint(len(self.fields[0]), (self.batch_size,))

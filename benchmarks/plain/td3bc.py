@@ -19,10 +19,7 @@ class PlainTd3Bc:
         s, a, hidden = spec.observation_size, spec.action_size, section.hidden
         self.section, self.updates = section, 0
         self.minibatches = Minibatches(data, section.batch_size)
-        states = self.minibatches.fields[0]
-        mean, std = states.mean(0), states.std(0) + 1e-3
-        for field in (0, 3):
-            self.minibatches.fields[field] = (self.minibatches.fields[field] - mean) / std
+        self.minibatches.standardise()
         self.actor, self.critics = mlp(s, hidden, a), TwinCritics(s + a, hidden)
         self.target_actor, self.target_critics = deepcopy(self.actor), deepcopy(self.critics)
         adam = torch.optim.Adam

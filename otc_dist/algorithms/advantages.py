@@ -63,13 +63,13 @@ class ValueFunction:
         """
         # `descend` counts for Adam's correction by `updates`: here the value function's own.
         own = {name: state[name] for name in ("value", "value_moments")}
-        own, descended = {**own, "updates": state["value_updates"]}, fuse(self.descended)
+        own, fit_step = {**own, "updates": state["value_updates"]}, fuse(self.fit_step)
         targets = targets / state["value_scale"]
         for rows in (noise * len(targets)).long():
-            own = descended(own, normalised[rows], targets[rows])
+            own = fit_step(own, normalised[rows], targets[rows])
         return {**state, **own, "updates": state["updates"], "value_updates": own["updates"]}
 
-    def descended(self, own: State, x: Tensor, y: Tensor) -> State:
+    def fit_step(self, own: State, x: Tensor, y: Tensor) -> State:
         """One step of Adam on  mean (V(x) - y)^2, in units of `value_scale`."""
         own = dict(own, updates=own["updates"] + 1)
         new, _ = descend(

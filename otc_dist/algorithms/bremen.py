@@ -23,17 +23,11 @@ from otc_dist.algorithms.advantages import ValueFunction, generalised_advantages
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.dynamics import STATISTICS, Ensemble, normalised_observations
 from otc_dist.algorithms.interface import Batch, Fuse, State
-from otc_dist.algorithms.networks import Mlp, descend, fresh_state, value_and_gradient
-from otc_dist.algorithms.trust_region import Step, gauss_newton_product, trust_region_step
+from otc_dist.algorithms.networks import Mlp, descend, fresh_state
+from otc_dist.algorithms.policy_step import PolicyStep
 from otc_dist.spec import Task
 
 AVERAGED_SHARE = 0.1  # of the updates made: the longest that weights are averaged over
-# The Fisher matrix is computed from every ninth state: a tenth was enough for TRPO's authors.
-# 9 and the usual batch of 128 have no common divisor, so that all rollouts contribute.
-FISHER_STRIDE = 9
-# States of the rollouts judged at once: all of them would take 100 MB of layers. A twentieth of the
-# usual 128 x 100, so that what judges a part is compiled once and not again for a remainder.
-PART = 640
 
 
 class Rollouts(NamedTuple):
@@ -102,6 +96,10 @@ class Bremen:
         return Mlp((self.observation_size,), self.hidden, self.action_size)
 
     @cached_property
+    def policy_step(self) -> PolicyStep:
+        return PolicyStep(self.actor, self.std, self.radius)
+
+    @cached_property
     def value_function(self) -> ValueFunction:
         return ValueFunction(self.observation_size, self.discount)
 
@@ -167,7 +165,7 @@ class Bremen:
 
     def mean(self, actor: Tensor, normalised: Tensor) -> Tensor:
         """tanh f(s) (..., a) of a policy or the clone, for normalised observations (..., s)."""
-        return self.actor.apply(actor, normalised).tanh()
+        return self.policy_step.mean(actor, normalised)
 
     def acting_noise(self, copies: int) -> Mapping[str, Draw]:
         """Nothing: the mean is deployed."""
@@ -202,7 +200,13 @@ class Bremen:
             rollouts.rewards, rollouts.ends, values, self.discount, self.trace
         )
         observations = normalised[:-1].flatten(0, 1)
-        step = self.step(fuse, state["policy"], observations, rollouts.actions, advantages)
+        step = self.policy_step(
+            fuse,
+            state["policy"],
+            observations,
+            rollouts.actions.flatten(0, 1),
+            advantages.flatten(),
+        )
         targets = (advantages + values[:-1]).flatten()
         new = self.value_function.fit(fuse, state, observations, targets, noise["value"])
         metrics = (
@@ -222,16 +226,16 @@ class Bremen:
         episode ends, another starts from a random state of the batch.
         """
         models = self.ensemble.network.apart(state["models_average"])
-        which = (noise["model"] * self.models).long()
+        which = (noise["model"] * self.models).long().tolist()
         restarts = (noise["restart"] * len(batch.observation)).long()
         known = {name: state[name] for name in ("policy", *STATISTICS)}
-        move, observation = fuse(self.move), batch.observation
+        # Contiguous, as all that follow, or `move` would be compiled once more for the first.
+        move, observation = fuse(self.move), batch.observation.contiguous()
         steps = []
         for t in range(self.horizon):
             start = batch.observation[restarts[t]]
-            *moved, following = move(
-                known, models[which[t]], observation, noise["action"][t], start
-            )
+            model = models[which[t]]
+            *moved, following = move(known, model, observation, noise["action"][t], start)
             steps.append((observation, *moved))
             observation = following
         observations, actions, rewards, ends = map(torch.stack, zip(*steps, strict=True))
@@ -253,71 +257,3 @@ class Bremen:
         end = self.task.terminated(following)
         after = torch.where(end.unsqueeze(-1), start, following)
         return drawn, reward, end.to(reward.dtype), after
-
-    def step(
-        self,
-        fuse: Fuse,
-        policy: Tensor,
-        observations: Tensor,
-        actions: Tensor,
-        advantages: Tensor,
-    ) -> Step:
-        """One trust-region step of the policy.
-
-        L = E[pi(a|s) / pi_old(a|s) A], A standardised, and
-        KL(pi_old || pi) = |mu_old - mu|^2 / (2 std^2).
-
-        Args:
-            policy: theta_old (n,).
-            observations: normalised (N, s).
-            actions, advantages: (H, B, a) and (H, B), N = H B.
-        """
-        centred = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
-        weights, actions = centred.flatten() / centred.numel(), actions.flatten(0, 1)
-        slope, judge, fisher = fuse(self.slope), fuse(self.judge), fuse(self.fisher)
-        parts, gradient = [], torch.zeros_like(policy)
-        split = (torch.split(rows, PART) for rows in (observations, actions, weights))
-        for part in zip(*split, strict=True):
-            old, share = slope(policy, *part)
-            parts.append((*part, old))
-            gradient = gradient + share
-
-        def outcome(policy: Tensor) -> tuple[Tensor, Tensor]:
-            judged = [judge(policy, *part) for part in parts]
-            gain, divergence = torch.stack([torch.stack(one) for one in judged]).sum(0)
-            return gain, divergence / len(observations)
-
-        some = observations[::FISHER_STRIDE].contiguous()
-        return trust_region_step(
-            policy, gradient, outcome, lambda vector: fisher(policy, some, vector), self.radius
-        )
-
-    def slope(
-        self, policy: Tensor, observations: Tensor, actions: Tensor, weights: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """mu_old (N, a), and the gradient of  sum_i w_i pi(a_i|s_i) / pi_old(a_i|s_i)  (n,)."""
-        old = self.mean(policy, observations)
-        _, gradient = value_and_gradient(
-            lambda new: self._surprise(self.mean(new, observations), old, actions) @ weights, policy
-        )
-        return old, gradient
-
-    def judge(
-        self, policy: Tensor, observations: Tensor, actions: Tensor, weights: Tensor, old: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """sum_i w_i (pi(a_i|s_i) / pi_old(a_i|s_i) - 1), and sum_i KL(pi_old(s_i) || pi(s_i))."""
-        new = self.mean(policy, observations)
-        divergence = ((new - old) ** 2).sum() / (2 * self.std**2)
-        return self._surprise(new, old, actions) @ weights, divergence
-
-    def _surprise(self, new: Tensor, old: Tensor, actions: Tensor) -> Tensor:
-        """pi(a|s) / pi_old(a|s) - 1 (N,), for means and actions (N, a)."""
-        distances = ((actions - old) ** 2 - (actions - new) ** 2).sum(-1)
-        return torch.expm1(distances / (2 * self.std**2))
-
-    def fisher(self, policy: Tensor, observations: Tensor, vector: Tensor) -> Tensor:
-        """F v (n,), F the Hessian of E[KL(pi_old || pi)] at pi_old = pi."""
-        product = gauss_newton_product(
-            lambda policy: self.mean(policy, observations), policy, vector
-        )
-        return product / (self.std**2 * len(observations))

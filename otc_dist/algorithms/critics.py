@@ -97,9 +97,10 @@ class ActorCritic:
 
 @dataclass(frozen=True)
 class StandardisedActorCritic(ActorCritic):
-    """An `ActorCritic` whose networks see states standardised by B_0, as CORL's and TD3+BC's do.
+    """An `ActorCritic` whose networks see states standardised by B_0, as TD3+BC's and CORL's do.
 
-    Its state holds `state_mean` and `state_std` (s,), which never change.
+    Its state holds `state_mean` and `state_std` (s,), which never change. What a learner calls
+    takes states as they are: `update`, `act`, `q` and `value`.
     """
 
     @staticmethod
@@ -110,13 +111,16 @@ class StandardisedActorCritic(ActorCritic):
 
     @staticmethod
     def standardised(state: State, observations: Tensor) -> Tensor:
+        """(s - mean) / std (..., s)."""
         return (observations - state["state_mean"]) / state["state_std"]
 
     def standardised_batch(self, state: State, batch: Batch) -> Batch:
+        """The batch with s and s' standardised."""
         return batch._replace(
             observation=self.standardised(state, batch.observation),
             next_observation=self.standardised(state, batch.next_observation),
         )
 
     def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
+        """Q_1(s, a) (...), for states as they are."""
         return super().q(state, self.standardised(state, observations), actions)

@@ -21,7 +21,11 @@ T = TypeVar("T")
 
 
 class Fuse(Protocol):
-    """`Engine.fuse`: the same function with the same results up to rounding."""
+    """`Engine.fuse`: the same function with the same results up to rounding.
+
+    Of a plain function or a method, whose own and enclosed values are hashable, and whose
+    arguments always have the same shapes and strides: others are compiled anew.
+    """
 
     def __call__(self, function: Callable[P, T], /) -> Callable[P, T]: ...
 

@@ -85,7 +85,9 @@ class AwacSection(SmallSection):
 
 
 class CqlSection(LargeSection):
-    """CQL for continuous actions. What Table 3 leaves open is as in its authors' code."""
+    """CQL for continuous actions. What Table 3 leaves open is as in its authors' code, but that
+    states are standardised and the actor is not warmed up by imitation, as in CORL.
+    """
 
     name: Literal["cql"] = "cql"
     actor_learning_rate: float = Field(default=1e-4, gt=0)
