@@ -165,7 +165,7 @@ class Bremen:
 
     def mean(self, actor: Tensor, normalised: Tensor) -> Tensor:
         """tanh f(s) (..., a) of a policy or the clone, for normalised observations (..., s)."""
-        return self.policy_step.mean(actor, normalised)
+        return self.actor.apply(actor, normalised).tanh()
 
     def acting_noise(self, copies: int) -> Mapping[str, Draw]:
         """Nothing: the mean is deployed."""

@@ -294,7 +294,7 @@ def test_compiled_improvements_agree_with_eager(monkeypatch: pytest.MonkeyPatch)
     # A learner's batch is views of packed rows.
     batch = unpack(torch.cat([x.reshape(BATCH, -1).float() for x in batch], 1), RowLayout(4, 2))
     found = []
-    for engine in (Engine("eager"), Engine("compiled")):
+    for engine in (Engine("compiled"), Engine("eager")):
         improving, history = state, []
         for seed in range(3):
             wanted = bremen.improvement_noise(BATCH)
@@ -306,5 +306,5 @@ def test_compiled_improvements_agree_with_eager(monkeypatch: pytest.MonkeyPatch)
         metrics = torch.stack(history)
         assert (metrics[:, -1] > 0).all()  # steps are taken
         found.append([metrics, improving["policy"], improving["value"]])
-    for compiled, eager in zip(found[1], found[0], strict=True):
+    for compiled, eager in zip(*found, strict=True):
         np.testing.assert_allclose(compiled, eager, rtol=1e-3, atol=1e-5)
