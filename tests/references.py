@@ -258,3 +258,14 @@ def prioritized(
         return [order[int(np.argmax(cumulative >= u))] for u in quantiles]
     clocks = [noise[position] / chances[j] for position, j in enumerate(order)]
     return [order[p] for p in sorted(range(len(order)), key=lambda p: clocks[p])[:count]]
+
+
+class Standardised:
+    """What plain algorithms have in common whose networks see states standardised by B_0."""
+
+    def fit_normaliser(self, s: Tensor) -> None:
+        self.mean = s.sum(0) / len(s)
+        self.std = torch.sqrt(((s - self.mean) ** 2).sum(0) / len(s)) + 1e-3
+
+    def standard(self, s: Tensor) -> Tensor:
+        return (s - self.mean) / self.std

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 from torch.distributions import Independent, Normal
 
-from .references import Network, get_flat, set_flat, step
+from .references import Network, Standardised, get_flat, set_flat, step
 from .references_cql import follow
 
 
 @dataclass
-class Awac:
+class Awac(Standardised):
     """AWAC of Nair et al., 2020, as the authors' code has it, and with CORL's weights."""
 
     s: int
@@ -60,15 +60,16 @@ class Awac:
         return (policy.mean + policy.stddev * noise).clamp(-1, 1)
 
     def value(self, s: Tensor, noise: Tensor) -> Tensor:
-        repeated = s[:, None].expand(-1, noise.shape[1], -1)
+        repeated = self.standard(s)[:, None].expand(-1, noise.shape[1], -1)
         return self.critics[0](repeated, self.sample(repeated, noise))[..., 0].mean(1)
 
     def act(self, s: Tensor) -> Tensor:
-        return self.policy(s).mean
+        return self.policy(self.standard(s)).mean
 
     def update(self, batch: Sequence[Tensor], noise: Mapping[str, Tensor]) -> list[float]:
         """One update; the losses of the critics and of the actor, and the mean target."""
         s, a, r, next_s, done = batch
+        s, next_s = self.standard(s), self.standard(next_s)
         with torch.no_grad():
             next_a = self.sample(next_s, noise["target"])
             next_q = torch.min(*(critic(next_s, next_a)[:, 0] for critic in self.target_critics))

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
-from .references import Network, get_flat, set_flat, step
+from .references import Network, Standardised, get_flat, set_flat, step
 
 
 @dataclass
-class Cql:
+class Cql(Standardised):
     """CQL(H) of Kumar et al., 2020, with a fixed weight and no entropy in the backup."""
 
     s: int
@@ -36,13 +36,6 @@ class Cql:
         self.actor_adam = adam(self.actor.parameters(), lr=self.actor_rate)
         self.temperature_adam = adam([self.log_temperature], lr=self.actor_rate)
         self.critic_adams = [adam(c.parameters(), lr=self.critic_rate) for c in self.critics]
-
-    def fit_normaliser(self, s: Tensor) -> None:
-        self.mean = s.sum(0) / len(s)
-        self.std = torch.sqrt(((s - self.mean) ** 2).sum(0) / len(s)) + 1e-3
-
-    def standard(self, s: Tensor) -> Tensor:
-        return (s - self.mean) / self.std
 
     def load(self, state: Mapping[str, Tensor]) -> None:
         set_flat([self.actor], state["actor"])

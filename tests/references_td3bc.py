@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .references import Network, get_flat, set_flat, step
+from .references import Network, Standardised, get_flat, set_flat, step
 from .references_cql import follow
 
 
 @dataclass
-class Td3Bc:
+class Td3Bc(Standardised):
     """TD3+BC of Fujimoto and Gu, 2021, for actions in [-1, 1]."""
 
     s: int
@@ -36,10 +36,6 @@ class Td3Bc:
         self.critic_adam = adam(twins, lr=self.critic_rate)
         self.updates = 0
 
-    def fit_normaliser(self, s: Tensor) -> None:
-        self.mean = s.mean(0)
-        self.std = ((s - self.mean) ** 2).mean(0).sqrt() + 1e-3
-
     def load(self, state: Mapping[str, Tensor]) -> None:
         set_flat([self.actor], state["actor"])
         set_flat([self.target_actor], state["actor_target"])
@@ -55,17 +51,17 @@ class Td3Bc:
         }
 
     def act(self, s: Tensor) -> Tensor:
-        return torch.tanh(self.actor((s - self.mean) / self.std))
+        return torch.tanh(self.actor(self.standard(s)))
 
     def value(self, s: Tensor) -> Tensor:
-        return self.critics[0]((s - self.mean) / self.std, self.act(s))[:, 0]
+        return self.critics[0](self.standard(s), self.act(s))[:, 0]
 
     def update(self, batch: Sequence[Tensor], noise: Mapping[str, Tensor]) -> list[float]:
         """One update; the losses of the critics and of the actor (0 where it waits; otherwise
         twice, once for the update it waited), and the mean target.
         """
         s, a, r, next_s, done = batch
-        s, next_s = ((x - self.mean) / self.std for x in (s, next_s))
+        s, next_s = (self.standard(x) for x in (s, next_s))
         self.updates += 1
         with torch.no_grad():
             smoothing = (0.2 * noise["target"]).clamp(-0.5, 0.5)

@@ -21,6 +21,7 @@ class PlainAwac:
         s, a, hidden = spec.observation_size, spec.action_size, section.hidden
         self.section = section
         self.minibatches = Minibatches(data, section.batch_size)
+        self.minibatches.standardise()
         self.actor, self.critics = mlp(s, hidden, a), TwinCritics(s + a, hidden)
         self.target_critics = deepcopy(self.critics)
         self.log_std_logits = nn.Parameter(torch.zeros(a))

@@ -2,7 +2,8 @@
 
 Twin critics learn the policy's action value; the policy imitates the data's actions, each the more
 the better the critics find it. Two published forms differ in the weights: the authors' (rlkit)
-takes a softmax of the advantages over the minibatch, CORL's their clamped exponential.
+takes a softmax of the advantages over the minibatch, CORL's their clamped exponential. From CORL
+comes also that networks see standardised states.
 """
 
 from collections.abc import Mapping
@@ -14,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.critics import ActorCritic, td_target
+from otc_dist.algorithms.critics import StandardisedActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.gaussian import log_density
 from otc_dist.algorithms.interface import Batch, State
@@ -25,7 +26,7 @@ LARGEST_WEIGHT = 100.0  # CORL's bound on exp(A / temperature)
 
 
 @dataclass(frozen=True)
-class Awac(ActorCritic):
+class Awac(StandardisedActorCritic):
     """AWAC for one agent with continuous actions in [-1, 1].
 
     Attributes:
@@ -45,11 +46,12 @@ class Awac(ActorCritic):
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """Networks critic, with a target, and actor: its mean's network, then its log-std logits.
 
-        The logits start at 0, the middle of LOG_STD_RANGE.
+        The logits start at 0, the middle of LOG_STD_RANGE. And the `statistics` of B_0.
         """
         critic = self.critics.initialise(random)
         actor = np.concatenate([self.actor.initialise(random), np.zeros(self.action_size)])
-        return fresh_state({"critic": critic, "actor": actor}, targets=("critic",))
+        networks = fresh_state({"critic": critic, "actor": actor}, targets=("critic",))
+        return {**networks, **self.statistics(offline)}
 
     def noise(self, batch_size: int) -> Mapping[str, Draw]:
         shape = (batch_size, self.action_size)
@@ -61,6 +63,7 @@ class Awac(ActorCritic):
         As in the authors' code, both losses are of the parameters before the update.
         """
         new = dict(state, updates=state["updates"] + 1)
+        batch = self.standardised_batch(state, batch)
 
         target = self.target(state, batch, noise["target"])
         new, critic_loss = self.fit_critics(new, batch, target)
@@ -126,13 +129,13 @@ class Awac(ActorCritic):
 
     def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
         """The policy's mean action."""
-        return self.policy(state["actor"], observations)[0]
+        return self.policy(state["actor"], self.standardised(state, observations))[0]
 
     def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
         return {"value": Draw("normal", (count, samples, self.action_size))}
 
     def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
         """V(s): the mean of Q_1 over sampled actions of the policy (B,)."""
-        s = observations.unsqueeze(1)
+        s = self.standardised(state, observations).unsqueeze(1)
         actions = self.sample(state["actor"], s, noise["value"])
-        return self.q(state, s, actions).mean(-1)
+        return self.critics.first(state["critic"], s, actions).mean(-1)

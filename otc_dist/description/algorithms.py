@@ -71,7 +71,9 @@ class BcqSection(SmallSection):
 
 
 class AwacSection(SmallSection):
-    """AWAC. What Table 3 leaves open is as in its authors' code, but for the temperature."""
+    """AWAC. What Table 3 leaves open is as in its authors' code, but for the temperature, and that
+    states are standardised, as in CORL.
+    """
 
     name: Literal["awac"] = "awac"
     actor_learning_rate: float = Field(default=1e-4, gt=0)

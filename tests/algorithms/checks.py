@@ -12,6 +12,7 @@ from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import Algorithm, Batch, P, State, T
 from otc_dist.engine import Engine
 
+from ..references import Standardised
 from .arrays import first, random_batch
 
 UPDATES, BATCH = 120, 32
@@ -66,6 +67,14 @@ def assert_equals_plain(
         np.testing.assert_allclose(state[name].numpy(), weights.numpy(), atol=1e-10, err_msg=name)
     assert float(state["updates"]) == UPDATES
     return state
+
+
+def standardise_alike(plain: Standardised, state: State, offline: Batch) -> None:
+    """The plain version finds the same statistics; the state's, rounded to float32, become its."""
+    plain.fit_normaliser(offline.observation)
+    for name, statistic in (("state_mean", plain.mean), ("state_std", plain.std)):
+        np.testing.assert_allclose(state[name], statistic, rtol=1e-6)
+        state[name] = statistic
 
 
 def assert_pure(

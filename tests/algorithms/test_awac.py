@@ -13,7 +13,7 @@ from otc_dist.algorithms.interface import Batch, State
 
 from .. import references_awac
 from .arrays import double, first, random_batch
-from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure
+from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure, standardise_alike
 
 SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
 Weighting = Literal["softmax", "exponential"]
@@ -51,7 +51,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
 ) -> None:
     random = np.random.default_rng(0)
     awac = make(s, a, hidden, weighting, temperature)
-    state, _ = start(awac, random)
+    state, offline = start(awac, random)
     # Another target than the network, so that a mistaken use of either shows.
     state["critic_target"] = start(awac, random)[0]["critic"]
     state["actor"][-a:] = torch.linspace(1, 3, a)  # samples beyond the bounds
@@ -59,6 +59,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
         *(s, a, hidden), 3e-4, 5e-4, tau=0.05, weighting=weighting, temperature=temperature
     )
     plain.load(state)
+    standardise_alike(plain, state, offline)
     state = assert_equals_plain(awac, plain, state, (s, a))
 
     states = torch.from_numpy(random.standard_normal((6, s)))
@@ -67,11 +68,14 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
         actions, values = plain.act(states), plain.value(states, noise["value"])
     np.testing.assert_allclose(awac.act(state, states, {}), actions, atol=1e-10)
     np.testing.assert_allclose(awac.value(state, states, noise), values, atol=1e-10)
+    with torch.no_grad():
+        judged = plain.critics[0](plain.standard(states), actions)[:, 0]
+    np.testing.assert_allclose(awac.q(state, states, actions), judged, atol=1e-10)
 
 
 def test_update_leaves_its_arguments_alone_and_passes_on_what_is_not_its_own() -> None:
     awac = make(4, 2, (8, 8))
-    assert_pure(awac, *start(awac, np.random.default_rng(1)))
+    assert_pure(awac, *start(awac, np.random.default_rng(1)), {"state_mean", "state_std"})
 
 
 def test_target_at_a_terminal_state_is_the_reward() -> None:

@@ -10,7 +10,7 @@ from otc_dist.algorithms.td3bc import Td3Bc
 
 from .. import references_td3bc
 from .arrays import double, first, random_batch
-from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure
+from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure, standardise_alike
 
 SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
 DELAYED = {"actor", "actor_moments", "actor_target", "critic_target"}
@@ -49,10 +49,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
         state[f"{name}_target"] = others[name]
     plain = references_td3bc.Td3Bc(s, a, hidden, actor_rate=3e-4, critic_rate=5e-4, tau=0.05)
     plain.load(state)
-    plain.fit_normaliser(offline.observation)
-    for name, statistic in (("state_mean", plain.mean), ("state_std", plain.std)):
-        np.testing.assert_allclose(state[name], statistic, rtol=1e-6)
-        state[name] = statistic  # the state's own is rounded to float32
+    standardise_alike(plain, state, offline)
     # Noise beyond the clip as well.
     state = assert_equals_plain(td3bc, plain, state, (s, a), spread=3.0)
 
