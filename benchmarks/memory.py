@@ -5,12 +5,13 @@
 For every algorithm, a process of its own does what a learner's does: it imports torch, from where
 on it counts, reads its agent's file of as many transitions as the shipped set has, makes some
 updates, trains the embedding, and tunes on a deployment by OTC. The code is compiled before, in
-another process, as the launcher does it. "now" is what the process holds in the end, "peak" the
-most that it ever held, both without what bare torch takes.
+another process, and the allocator is bounded, as the launcher does it. "now" is what the process
+holds in the end, "peak" the most that it ever held, both without what bare torch takes.
 """
 
 import argparse
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from timing import ENVS, OFFLINE, ONLINE, describe, random_data, say, sections
 from otc_dist.datasets import agent_files
 from otc_dist.envs import registry
 from otc_dist.errors import run_main
+from otc_dist.launch.supervisor import FRUGAL
 from otc_dist.spec import AgentSpec
 
 TARGET = 300  # MB beside the data set
@@ -89,7 +91,10 @@ def measured(name: str, folder: Path) -> dict[str, float]:
     for purpose in ("compiling", "measuring"):
         say(f"{purpose} {name}")
         command = [sys.executable, __file__, "--measure", name, str(path)]
-        output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+        environment = {**os.environ, **FRUGAL}
+        output = subprocess.run(
+            command, check=True, stdout=subprocess.PIPE, text=True, env=environment
+        ).stdout
     found: dict[str, float] = json.loads(output.splitlines()[-1])
     return found
 

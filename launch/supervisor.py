@@ -19,6 +19,9 @@ _PR_SET_PDEATHSIG = 1
 
 # One thread each: several learners share the cores, and results do not depend on their number.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+# What glibc may keep of memory that was freed. Left alone, it raises both bounds as it goes, and a
+# learner holds tens of megabytes that it once needed; lower ones cost time at every update.
+FRUGAL = {"MALLOC_TRIM_THRESHOLD_": str(16 * 2**20), "MALLOC_MMAP_THRESHOLD_": str(4 * 2**20)}
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ class Supervisor:
                 stdin=subprocess.DEVNULL,
                 stdout=sink,
                 stderr=None if sink is None or show_errors else subprocess.STDOUT,
-                env={**os.environ, **ONE_THREAD, "PYTHONUNBUFFERED": "1"},
+                env={**os.environ, **ONE_THREAD, **FRUGAL, "PYTHONUNBUFFERED": "1"},
                 process_group=0,
                 preexec_fn=die_with_parent(),
             )
