@@ -159,7 +159,7 @@ def test_a_run_trains_from_what_another_one_deployed(
     tiny_flags: tuple[str, ...],
 ) -> None:
     logs = [finished[0].deployment(k) for k in (1, 2)]
-    name = str(import_files(logs, "deployed").name)
+    name = str(import_files(logs, "another-run").name)
     flags = ("dataset.name=" + name, "dataset.transitions=0", "deployment.count=1")
     assigned = [part for flag in flags for part in ("--set", flag)]
     launcher = launch("3agent_hopper", *tiny_flags, *assigned, "--out", "run")
