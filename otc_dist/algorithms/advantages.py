@@ -63,8 +63,8 @@ class ValueFunction:
         """
         # `descend` counts for Adam's correction by `updates`: here the value function's own.
         own = {name: state[name] for name in ("value", "value_moments")}
-        own, fit_step = {**own, "updates": state["value_updates"]}, fuse(self.fit_step)
-        targets = targets / state["value_scale"]
+        own["updates"] = state["value_updates"]
+        fit_step, targets = fuse(self.fit_step), targets / state["value_scale"]
         for rows in (noise * len(targets)).long():
             own = fit_step(own, normalised[rows], targets[rows])
         return {**state, **own, "updates": state["updates"], "value_updates": own["updates"]}
