@@ -57,23 +57,26 @@ class Awac(StandardisedActorCritic):
         shape = (batch_size, self.action_size)
         return {"target": Draw("normal", shape), "actor": Draw("normal", shape)}
 
-    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def update(
+        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+    ) -> tuple[State, Tensor]:
         """One update of the critics and of the actor.
 
         As in the authors' code, both losses are of the parameters before the update.
         """
         new = dict(state, updates=state["updates"] + 1)
         batch = self.standardised_batch(state, batch)
+        imitated = self.standardised_batch(state, imitated)
 
         target = self.target(state, batch, noise["target"])
         new, critic_loss = self.fit_critics(new, batch, target)
 
-        weights = self.weights(self.advantages(state, batch, noise["actor"]))
+        weights = self.weights(self.advantages(state, imitated, noise["actor"]))
         new, actor_loss = descend(
             new,
             "actor",
             self.actor_learning_rate,
-            lambda actor: self.actor_loss(actor, batch, weights),
+            lambda actor: self.actor_loss(actor, imitated, weights),
         )
 
         new["critic_target"] = polyak(state["critic_target"], new["critic"], self.target_rate)

@@ -75,15 +75,19 @@ class Bcq(ActorCritic):
             "actor": Draw("normal", (batch_size, latent)),
         }
 
-    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def update(
+        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+    ) -> tuple[State, Tensor]:
         """One update of the VAE, then the critics, then the actor, in the authors' order.
 
-        Each part sees the parameters that the part before it has just updated.
+        Each part sees the parameters that the part before it has just updated. The VAE alone
+        imitates: fitted to rows chosen for their nearness to the agent's own newest ones, it would
+        imitate the agent itself, and its spread would shrink from deployment to deployment.
         """
         new = dict(state, updates=state["updates"] + 1)
 
         new, vae_loss = descend(
-            new, "vae", self.vae_learning_rate, lambda vae: self.vae_loss(vae, batch, noise["vae"])
+            new, "vae", self.vae_learning_rate, lambda vae: self.vae_loss(vae, imitated, noise["vae"])
         )
 
         target = self.target(new, batch, noise["target"])

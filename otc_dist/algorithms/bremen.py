@@ -129,8 +129,10 @@ class Bremen:
         """Nothing: the minibatch is all that is random in an update."""
         return {}
 
-    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
-        """One gradient step of every model, and of the clone, on the same batch."""
+    def update(
+        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+    ) -> tuple[State, Tensor]:
+        """One gradient step of every model, and of the clone on what it imitates."""
         state = dict(state, updates=state["updates"] + 1)
         state, model_loss = descend(
             state,
@@ -142,7 +144,7 @@ class Bremen:
             state,
             "clone",
             self.actor_learning_rate,
-            lambda clone: self.clone_loss(clone, state, batch),
+            lambda clone: self.clone_loss(clone, state, imitated),
         )
         for name in ("models", "clone"):
             state[f"{name}_average"] = self.average(state, name)

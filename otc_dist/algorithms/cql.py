@@ -64,7 +64,9 @@ class Cql(StandardisedActorCritic):
             "next": Draw("normal", (batch_size, *several)),
         }
 
-    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def update(
+        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+    ) -> tuple[State, Tensor]:
         """One update of the temperature, the actor and the critics, in the authors' order.
 
         The actor sees the new temperature; otherwise all see the state before the update.

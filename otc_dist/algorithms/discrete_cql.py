@@ -59,7 +59,9 @@ class DiscreteCql:
     def noise(self, batch_size: int) -> Mapping[str, Draw]:
         return {}
 
-    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def update(
+        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+    ) -> tuple[State, Tensor]:
         """One update of the critic."""
         target = self.target(state, batch)
         new, loss = descend(

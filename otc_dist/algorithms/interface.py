@@ -82,10 +82,17 @@ class Algorithm(Protocol):
         """The random arrays that one `update` of a batch of this size needs."""
         ...
 
-    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def update(
+        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+    ) -> tuple[State, Tensor]:
         """One gradient update: the new state, and the values of `metric_names`.
 
         Keys of the state that are not the algorithm's are passed on.
+
+        Args:
+            batch: transitions (B) to learn values from.
+            imitated: transitions (B) for whatever imitates the behaviour in the data. Where a
+                sampler corrects the former only, these are a plain sample; else both are one.
         """
         ...
 

@@ -52,14 +52,18 @@ class Td3Bc(StandardisedActorCritic):
     def noise(self, batch_size: int) -> Mapping[str, Draw]:
         return {"target": Draw("normal", (batch_size, self.action_size))}
 
-    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def update(
+        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+    ) -> tuple[State, Tensor]:
         """One update of the critics, and, at every POLICY_DELAY-th, of the actor and all targets.
 
-        The actor's loss is of the critics just updated. It counts POLICY_DELAY times where there
+        The actor's loss is of the critics just updated, and both its terms are of the imitated
+        batch: they are weighed in the same states. It counts POLICY_DELAY times where there
         is one and 0 elsewhere, so that its mean over updates is its mean over the actor's.
         """
         new = dict(state, updates=state["updates"] + 1)
         batch = self.standardised_batch(state, batch)
+        imitated = self.standardised_batch(state, imitated)
 
         target = self.target(state, batch, noise["target"])
         new, critic_loss = self.fit_critics(new, batch, target)
@@ -67,7 +71,7 @@ class Td3Bc(StandardisedActorCritic):
         changing = ("actor", "actor_moments", "critic_target", "actor_target")
         *changed, actor_loss = when(
             new["updates"] % POLICY_DELAY == 0,
-            lambda: self._improve(new, batch, changing),
+            lambda: self._improve(new, imitated, changing),
             (*(state[name] for name in changing), torch.zeros_like(critic_loss)),
         )
         new.update(zip(changing, changed, strict=True))
