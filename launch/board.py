@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
+from otc_dist.description.distances import FITS
 
 from .forecast import Remaining
 from .health import Life
@@ -77,7 +78,7 @@ class Board:
         return training or ([host] if host else [])
 
 
-TRAINING = ("offline", "embedding", "tuning")
+TRAINING = ("offline", *FITS, "tuning")
 
 
 def place(status: Status) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Self
 
 from otc_dist.bus.keys import HOST
+from otc_dist.description.distances import FITS
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
@@ -172,7 +173,7 @@ class DisturbedRun:
         """Where the run stands: one of PHASES."""
         processes = self.processes
         phases = {process.phase for name, process in processes.items() if name != HOST}
-        if phases & {"offline", "embedding"}:
+        if phases & {"offline", *FITS}:
             return "offline"
         if "tuning" in phases:
             return "tuning"

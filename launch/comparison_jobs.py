@@ -62,7 +62,7 @@ def offline(folder: ComparisonFolder, base: Description, seeds: Sequence[int]) -
     """The data set, then pi_0 of every seed and agent."""
     dataset = base.dataset
     agents = registry.team_spec(base.env.id).names
-    seconds = forecast.offline(base) + forecast.embedding(base)
+    seconds = forecast.offline(base) + forecast.fits(base)
     files = [store.agent_file(dataset.name, agent, dataset.transitions) for agent in agents]
     make = (*MODULE, "otc_dist.datasets", "make", dataset.name)
     data = Job(

@@ -45,6 +45,7 @@ def _exercise(description: Description, agent: AgentSpec) -> None:
     short = description.with_assignments(
         "offline.updates=1", "embedding.updates=1", "deployment.updates=1", "deployment.count=1",
         f"deployment.transitions={DEPLOYED}", "embedding.minimum_active=0",
+        "dynamics.updates=1", "dynamics.correction_updates=1", "deployment.turns=false",
     )  # fmt: skip
     if isinstance(short.algorithm, BremenSection):
         short = short.with_assignments("algorithm.improvements=1")

@@ -6,10 +6,11 @@ it by how long the finished parts really took.
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from otc_dist.description import Description
 from otc_dist.description.algorithms import BremenSection
+from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
 from otc_dist.exploration import Schedule
 from otc_dist.spec import TeamSpec
@@ -23,8 +24,7 @@ UPDATE = {
     "td3bc": 1.6,
     "bremen": 3.8,
 }
-SELECTION = {"otc": 0.5, "balanced": 0.4}  # on top of an update, while tuning
-EMBEDDING_UPDATE = 0.6
+BALANCED = 0.4  # on top of an update, while tuning
 IMPROVEMENT = {"compiled": 150.0, "eager": 250.0, "cuda-graph": 150.0}  # BREMEN's; the last a guess
 ENGINES = {"compiled": 1.0, "eager": 4.0, "cuda-graph": 0.3}  # times as long
 ACT = 2.0  # one agent's answer for all copies, and the message both ways
@@ -45,19 +45,40 @@ def offline(description: Description) -> float:
     return _trained(description, description.offline.updates, selection=0.0)
 
 
-def embedding(description: Description) -> float:
-    """Seconds of one core for one agent's embedding; 0 where nothing uses it."""
+def fit(description: Description) -> Part:
+    """Seconds of one core for what one agent's distance fits to B_0; 0 where it fits nothing."""
     sampling = description.sampling
-    if sampling.name != "otc" or sampling.distance != "embedding":
-        return 0.0
-    each = EMBEDDING_UPDATE * ENGINES[description.engine.name]
-    return description.embedding.updates * each / 1000
+    facts = DISTANCES[sampling.distance]
+    if sampling.name != "otc" or facts.fits is None:
+        return Part("offline", 0, 0.0)
+    updates = {
+        "embedding": description.embedding.updates,
+        "dynamics": 2 * description.dynamics.updates,  # of its two networks
+    }[facts.fits]
+    each = facts.fit_update * ENGINES[description.engine.name]
+    return Part(facts.fits, 0, updates * each / 1000)
+
+
+def fits(description: Description) -> float:
+    """Seconds of one core for what all distances fit to B_0, which comparisons do at once."""
+    every = {facts.fits: name for name, facts in DISTANCES.items() if facts.fits}
+    return sum(
+        fit(description.with_assignments("sampling.name=otc", f"sampling.distance={name}")).seconds
+        for name in every.values()
+    )
 
 
 def tuning(description: Description) -> float:
     """Seconds of one core for one agent's tuning after one deployment."""
-    selection = SELECTION.get(description.sampling.name, 0.0)
-    return _trained(description, description.deployment.updates, selection)
+    sampling, size = description.sampling, description.dataset.transitions
+    facts, selection, scoring = DISTANCES[sampling.distance], 0.0, 0.0
+    if sampling.name == "balanced":
+        selection = BALANCED
+    elif sampling.name == "otc":
+        within = sampling.acceptance == "rank" and sampling.matches_minibatches
+        selection = facts.selection if within else 0.0
+        scoring = 0.0 if within else facts.scoring * size / 1e6
+    return _trained(description, description.deployment.updates, selection) + scoring
 
 
 def acting(description: Description, team: TeamSpec) -> float:
@@ -88,7 +109,7 @@ def parts(description: Description, team: TeamSpec) -> list[Part]:
     run = [
         Part("start", 0, START_SECONDS),
         Part("offline", 0, sharing * offline(description)),
-        Part("embedding", 0, sharing * embedding(description)),
+        replace(fitted := fit(description), seconds=sharing * fitted.seconds),
         Part("evaluation", 0, evaluation),
     ]
     for k in range(1, description.deployment.count + 1):

@@ -12,6 +12,7 @@ from pathlib import Path
 from otc_dist.bus.keys import HOST, Keys, Uses
 from otc_dist.datasets import store
 from otc_dist.description import Description
+from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
 from otc_dist.exploration import Schedule
 from otc_dist.run_folder import RunFolder
@@ -112,13 +113,15 @@ class Plan:
             state = "cached" if path.exists() else "to be made"
             yield f"  {agent:10} {path} ({state})"
         yield f"work         {d.offline.updates:,} offline updates to pi_0"
-        if forecast.embedding(d):
-            yield f"             {d.embedding.updates:,} updates of the embedding, for d_e"
+        if forecast.fit(d).seconds:
+            facts = DISTANCES[d.sampling.distance]
+            yield f"             and what {facts.title} fits to B_0 ({facts.fits})"
         rounds = Schedule.of(d, len(self.spec.agents)).rounds
         cost = f" an agent, who explore in turn: x {rounds}" if rounds > 1 else ""
         yield (
             f"             {d.deployment.count} deployments of {d.deployment.transitions:,}"
             f" transitions{cost}, {d.deployment.updates:,} updates after each"
+            + (", of one agent in turn" if d.deployment.turns else "")
         )
         yield f"             {d.evaluation.episodes} greedy episodes after each tuning"
         yield f"engine       {d.engine.name}"

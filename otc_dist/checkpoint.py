@@ -50,16 +50,13 @@ def digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:
     return total.hexdigest()[:16]
 
 
-def parts(arrays: Mapping[str, NDArray[np.generic]], *names: str) -> dict[str, Arrays]:
-    """Arrays named `part.key`, taken apart: every part of `names`, perhaps empty."""
-    return {
-        part: {
-            name.removeprefix(f"{part}."): array
-            for name, array in arrays.items()
-            if name.startswith(f"{part}.")
-        }
-        for part in names
-    }
+def parts(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Arrays]:
+    """Arrays named `part.key`, taken apart: part -> key -> array."""
+    found: dict[str, Arrays] = {}
+    for name, array in arrays.items():
+        part, _, key = name.partition(".")
+        found.setdefault(part, {})[key] = array
+    return found
 
 
 def write(path: Path, arrays: Mapping[str, NDArray[np.generic]], progressed: Progressed) -> None:

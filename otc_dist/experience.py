@@ -1,26 +1,13 @@
 """B_k of one agent: where a learner keeps its own transitions, and what is compared of them."""
 
-from typing import Protocol
-
 import torch
 from torch import Tensor
 
 from otc_dist.action_scale import ActionScale
+from otc_dist.folds import folds
+from otc_dist.otc.distances.interface import Features
 from otc_dist.otc.samplers import Data, Extent
 from otc_dist.transitions import ReplayBuffer, RowLayout, Transitions
-
-
-class Features(Protocol):
-    """What a distance compares of a transition: mu for d_e, standardised changes for d_c."""
-
-    @property
-    def size(self) -> int:
-        """The number of features."""
-        ...
-
-    def embed(self, rows: Tensor, out: Tensor) -> None:
-        """Write those of packed rows (N, width) to `out` (N, size); nothing before they are fit."""
-        ...
 
 
 class Experience:
@@ -32,9 +19,10 @@ class Experience:
         offline: B_0.
         to_come: the most transitions that deployments will add.
         features: what to keep of each transition beside it; None: nothing.
+        folded: whether to halve the data by episodes, which fits need.
 
     Attributes:
-        data: the rows and their features, on the device that trains.
+        data: the rows, their features and folds, on the device that trains.
 
     Raises:
         ValueError: see `ReplayBuffer`.
@@ -48,12 +36,19 @@ class Experience:
         to_come: int,
         features: Features | None,
         device: torch.device,
+        *,
+        folded: bool = False,
     ) -> None:
         self._scale, self._features = scale, features
         self._buffer = ReplayBuffer(layout, len(offline) + to_come)
         rows = torch.from_numpy(self._buffer.rows).to(device)
         width = features.size if features else 0
-        self.data = Data(rows, torch.zeros(len(rows), width).to(device))
+        self.data = Data(
+            rows,
+            torch.zeros(len(rows), width, device=device),
+            torch.zeros(len(rows) if folded else 0, dtype=torch.int64, device=device),
+            torch.zeros(0, device=device),
+        )
         self._append(offline, offline=True)
 
     @property
@@ -72,6 +67,11 @@ class Experience:
         """The rows of B_0, (N, width)."""
         return self.data.rows[: self._buffer.offline_size]
 
+    @property
+    def folds(self) -> Tensor:
+        """Which half each row (capacity,) is in; empty unless `folded`."""
+        return self.data.folds
+
     def merge(self, data: Transitions) -> None:
         """Append D_k (line 5 of Algorithm 1), without steps that did not happen."""
         self._append(data.sound(), offline=False)
@@ -88,8 +88,12 @@ class Experience:
         actions[:] = self._scale.scaled(actions)
         if self.data.rows.device.type != "cpu":
             self.data.rows[start:end] = torch.from_numpy(buffer.rows[start:end])
+        if len(self.data.folds):
+            self.data.folds[start:end] = torch.from_numpy(folds(data))
         self._embed(start, end)
 
     def _embed(self, start: int, end: int) -> None:
         if self._features:
-            self._features.embed(self.data.rows[start:end], self.data.embeddings[start:end])
+            part = slice(start, end)
+            data = self.data
+            self._features.embed(data.rows[part], data.folds[part], data.features[part])

@@ -11,7 +11,7 @@ Everything random is keyed by (seed, agent, purpose, deployment, step or block o
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -24,18 +24,17 @@ from otc_dist import checkpoint
 from otc_dist.action_scale import ActionScale
 from otc_dist.algorithms import create
 from otc_dist.algorithms.draws import draw, to_tensors
-from otc_dist.algorithms.interface import State, unpack
+from otc_dist.algorithms.interface import Critic, State, unpack
 from otc_dist.description import Description
-from otc_dist.embedder import Embedder
 from otc_dist.engine import Engine, resolve
 from otc_dist.errors import UserError
 from otc_dist.experience import Experience
 from otc_dist.exploration import explore
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
-from otc_dist.otc.changes import Changes
-from otc_dist.otc.samplers import Uniform
-from otc_dist.otc.similarity import expected_similarity
+from otc_dist.otc.distances import create_features
+from otc_dist.otc.distances.interface import Features, Setting
+from otc_dist.otc.samplers import Begun, Held, Sampler, Uniform
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec, Task
 from otc_dist.trainer import Phase, Trainer, improvements
@@ -49,11 +48,11 @@ log = logging.getLogger(__name__)
 class Progress:
     """Where training stands. Reported every 100 updates, the same in every run of a seed."""
 
-    phase: Literal["offline", "embedding", "tuning"]
+    phase: str  # "offline", what the distance fits ("embedding", "dynamics"), or "tuning"
     deployment: int  # 0 while offline
     update: int
     updates: int
-    metrics: dict[str, float]  # means since the last report; tuning's first: alpha, similarity
+    metrics: dict[str, float]  # means since the last report; tuning's first: what was measured
 
 
 Report = Callable[[Progress], None]
@@ -65,6 +64,10 @@ class Learner:
     Args:
         data: B_0.
         task: what the task asks for, if the environment tells; algorithms that plan need it.
+        place: the agent's number and the size of its team, for tuning in turns.
+        sampler: in place of the described one: an analysis's, who may know more than an agent.
+        fits: further distances whose fits to B_0 `pretrain` makes and checkpoints keep, for other
+            descriptions that start from the same policy.
 
     Attributes:
         tuned: k of the policy pi_k it holds; -1 before pi_0.
@@ -81,8 +84,11 @@ class Learner:
         spec: AgentSpec,
         data: Transitions,
         task: Task | None = None,
+        place: tuple[int, int] = (0, 1),
+        sampler: Sampler | None = None,
+        fits: Iterable[str] = (),
     ) -> None:
-        self.description, self.spec = description, spec
+        self.description, self.spec, self._place = description, spec, place
         self.tuned = -1
         self._agent = spec.name
         self._offline_updates = 0
@@ -94,38 +100,33 @@ class Learner:
         algorithm, sampling = description.algorithm, description.sampling
         self._scale = ActionScale(spec)
         self._layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
-        compared = sampling.distance if sampling.name == "otc" else None
-        self._embedder: Embedder | None = None
-        if compared == "embedding":
-            self._embedder = Embedder(description.embedding, self._layout, self._engine)
-        changes = Changes(self._layout) if compared == "change" else None
+        self._algorithm = create(algorithm, spec, task)
+        critic = self._algorithm if isinstance(self._algorithm, Critic) else None
+        setting = Setting(description, self._layout, critic)
+        own = [sampling.distance] if sampling.name == "otc" else []
+        made = [create_features(name, setting, self._engine) for name in (*own, *fits)]
+        # By name: d_f and `typical` share what they fit.
+        self._fits = {features.name: features for features in reversed(made) if features}
+        self._features = made[0] if own else None
         self._experience = Experience(
             self._layout,
             self._scale,
             data,
             deployments.count * deployments.transitions,
-            self._embedder or changes,
+            self._features,
             self._engine.device,
+            folded=bool(self._fits),
         )
-        if changes:
-            changes.fit(self._experience.offline)
-            self._experience.embed()
-
-        self._algorithm = create(algorithm, spec, task)
         self._improvements = improvements(self._algorithm)
-        self._sampler = create_sampler(
-            sampling,
-            self._algorithm,
-            self._layout,
-            algorithm.batch_size,
-            capacity=self._experience.capacity,
-        )
+        self._sampler = sampler or create_sampler(setting, self._experience.capacity)
         offline = unpack(self._experience.offline.cpu(), self._layout)
         initial = self._algorithm.initial_state(self._stream("initial"), offline)
         self._state: State = to_tensors(initial, self._engine.device)
         base, layout = self._algorithm, self._layout  # equal ones are compiled once
         step = self._engine.fuse(
-            lambda state, rows, draws: base.update(state, unpack(rows, layout), draws)
+            lambda state, rows, imitated, draws: base.update(
+                state, unpack(rows, layout), unpack(imitated, layout), draws
+            )
         )
         self._offline, self._online = (
             Trainer(
@@ -146,7 +147,7 @@ class Learner:
         return self._alpha
 
     def pretrain(self, report: Report, save: Callable[[], None]) -> None:
-        """Train pi_0 on B_0, and the embedding if the sampler needs one: whatever is left to do.
+        """Train pi_0 on B_0, and what the distance fits to it: whatever is left to do.
 
         Args:
             save: called every SAVE_EVERY updates, to keep an unfinished state.
@@ -174,15 +175,22 @@ class Learner:
                 on_block,
             )
             self._offline_updates = total
-        if self._embedder and self._embedder.state is None:
-            total = self.description.embedding.updates
-            self._embedder.train(
-                self._experience.offline,
-                lambda *key: self._stream("embedding", *key),
-                lambda done, metrics: report(Progress("embedding", 0, done, total, metrics)),
-            )
-            self._experience.embed()
+        for features in self._fits.values():
+            if features.state is None:
+                self._fit(features, report)
         self.tuned = max(self.tuned, 0)
+
+    def _fit(self, features: Features, report: Report) -> None:
+        name, total = features.name, features.updates
+        rows, folds = self._experience.offline, self._experience.folds
+        features.fit(
+            rows,
+            folds[: len(rows)],
+            lambda *key: self._stream(name, *key),
+            lambda done, metrics: report(Progress(name, 0, done, total, metrics)),
+        )
+        if features is self._features:
+            self._experience.embed()
 
     def act(
         self,
@@ -222,9 +230,10 @@ class Learner:
         return self._scale.unscaled(actions)
 
     def tune(self, deployment: int, data: Transitions, report: Report) -> None:
-        """Merge D_k, adapt alpha by Eq. 4, and make L updates (lines 5 to 16 of Algorithm 1).
+        """Merge D_k, measure, and make L updates (lines 5 to 16 of Algorithm 1).
 
-        Optimizers and targets are kept from before. Afterwards `tuned == deployment`.
+        Where agents tune in turns, the updates are made at every N-th deployment only. Optimizers
+        and targets are kept from before. Afterwards `tuned == deployment`.
 
         Raises:
             ValueError: not the deployment after `tuned`, or data that are not finite.
@@ -234,24 +243,47 @@ class Learner:
         self._experience.merge(data)
         updates = self.description.deployment.updates
         total = updates + self._improvements
-        measured = self._adapt(deployment) if self.description.sampling.name == "otc" else {}
-        report(Progress("tuning", deployment, 0, total, measured))
+        index, agents = self._place
+        if self.description.deployment.turns and (deployment - 1) % agents != index:
+            report(Progress("tuning", deployment, total, total, {}))
+            self.tuned = deployment
+            return
+        begun = self._begin(deployment)
+        report(Progress("tuning", deployment, 0, total, dict(begun.measured)))
 
         def on_block(state: State, done: int, metrics: dict[str, float]) -> None:
             report(Progress("tuning", deployment, done, total, metrics))
 
-        extent = self._experience.extent
-        begun = self._sampler.begin(self._state, extent, self._stream("sampler", deployment))
         phase = Phase("tuning", deployment, self.description.minibatch_key, self._alpha.value)
         self._state = self._online.train(
-            {**self._state, **begun},
-            self._experience.data,
-            extent,
+            {**self._state, **begun.changed},
+            begun.data,
+            self._experience.extent,
             phase,
             (0, updates),
             on_block,
         )
         self.tuned = deployment
+
+    def _begin(self, deployment: int) -> Begun:
+        """What the sampler prepares, and alpha by Eq. 4 where there is one."""
+        held = Held(
+            self._state,
+            self._experience.data,
+            self._experience.extent,
+            self._engine,
+            lambda purpose, *key: self._stream(purpose, deployment, *key),
+        )
+        with torch.no_grad():
+            begun = self._sampler.begin(held)
+        if (similarity := begun.measured.get("similarity")) is None:
+            return begun
+        sampling = self.description.sampling
+        if sampling.adaptive:
+            self._alpha = self._alpha.adapt(similarity, sampling.alpha_bound)
+            if self._alpha.value == sampling.alpha_bound > 0:
+                log.warning("sampling.alpha_bound binds: alpha is %g", self._alpha.value)
+        return begun._replace(measured={"alpha": self._alpha.value, **begun.measured})
 
     def policy_digest(self) -> str:
         """16 hexadecimal digits that identify the policy and all that updates it, to the bit."""
@@ -260,31 +292,32 @@ class Learner:
     def save(self, path: Path) -> None:
         """Write a checkpoint, atomically. Raises UserError if it cannot be written."""
         arrays = self._arrays("algorithm", self._state)
-        if self._embedder and self._embedder.state is not None:
-            arrays |= self._arrays("embedding", self._embedder.state)
+        for features in self._fits.values():
+            if features.state is not None:
+                arrays |= self._arrays(features.name, features.state)
         checkpoint.write(path, arrays, self._progressed())
 
     def load(self, path: Path) -> None:
         """Take over a checkpoint's state; `restore` then merges D_1 .. D_tuned again.
 
-        If a checkpoint of offline training lacks the embedding that this description needs,
-        `pretrain` trains it.
+        If a checkpoint of offline training lacks what this description's distance fits to B_0,
+        `pretrain` fits it.
 
         Raises:
             UserError: missing, damaged, or not this learner's: see `checkpoint.check_fits`.
         """
         arrays, found = checkpoint.read(path)
         checkpoint.check_fits(path, found, self._progressed())
-        states = checkpoint.parts(arrays, "algorithm", "embedding")
+        states = checkpoint.parts(arrays)
         self._state = to_tensors(states["algorithm"], self._engine.device)
         self._offline_updates = found.offline_updates
         self.tuned = found.tuned
-        if self._embedder:
-            if states["embedding"]:
-                self._embedder.state = to_tensors(states["embedding"], self._engine.device)
-                self._experience.embed()
+        for features in self._fits.values():
+            if fitted := states.get(features.name):
+                features.state = to_tensors(fitted, self._engine.device)
             else:
                 self.tuned = -1
+        self._experience.embed()
         if found.tuned > 0:
             self._alpha = Alpha(found.alpha, found.similarity)
 
@@ -295,25 +328,6 @@ class Learner:
 
     def _stream(self, *key: int | str) -> np.random.Generator:
         return stream(self.description.seed, self._agent, *key)
-
-    def _adapt(self, deployment: int) -> dict[str, float]:
-        sampling = self.description.sampling
-        random = self._stream("similarity", deployment)
-        with torch.no_grad():
-            similarity, guarded = expected_similarity(
-                self._algorithm,
-                self._state,
-                self._experience.data,
-                self._experience.extent,
-                self._layout,
-                sampling,
-                random,
-            )
-        if sampling.adaptive:
-            self._alpha = self._alpha.adapt(similarity, sampling.alpha_bound)
-            if self._alpha.value == sampling.alpha_bound > 0:
-                log.warning("sampling.alpha_bound binds: alpha is %g", self._alpha.value)
-        return {"alpha": self._alpha.value, "similarity": similarity, "guarded": guarded}
 
     def _progressed(self) -> checkpoint.Progressed:
         return checkpoint.Progressed(

@@ -17,7 +17,7 @@ from otc_dist.otc.samplers import Data, Extent, Sampler
 from otc_dist.training import BLOCK, DrawBlock, train
 from otc_dist.transitions import RowLayout
 
-Step = Callable[[State, Tensor, Draws], tuple[State, Tensor]]
+Step = Callable[[State, Tensor, Tensor, Draws], tuple[State, Tensor]]
 OnBlock = Callable[[State, int, dict[str, float]], None]
 
 
@@ -34,7 +34,8 @@ class Trainer:
     """Trains by one algorithm on the minibatches of one sampler.
 
     Args:
-        step: the algorithm's update on packed rows, as the engine runs it.
+        step: the algorithm's update on packed rows, for values and to imitate, as the engine
+            runs it.
         random: a stream for a key.
     """
 
@@ -51,7 +52,7 @@ class Trainer:
         self._algorithm, self._sampler, self._step = algorithm, sampler, step
         self._layout = layout
         self._batch_size, self._engine, self._random = batch_size, engine, random
-        self._select = engine.fuse(sampler.select) if sampler.noise() else sampler.select
+        self._select = engine.fuse(sampler.select) if sampler.computes else sampler.select
 
     def train(
         self,
@@ -101,7 +102,7 @@ class Trainer:
         on_block: OnBlock,
     ) -> State:
         def improve(state: State, draws: Draws) -> tuple[State, Tensor]:
-            rows, _, state = self._choose(data, state, draws)
+            rows, *_, state = self._choose(data, state, draws)
             return algorithm.improve(self._engine.fuse, state, unpack(rows, self._layout), draws)
 
         def on_improvement(state: State, done: int, metrics: list[float]) -> None:
@@ -120,19 +121,23 @@ class Trainer:
         """One update on rows that the sampler chooses; the choice's `guarded` joins the metrics."""
 
         def update(state: State, draws: Draws) -> tuple[State, Tensor]:
-            rows, guarded, state = self._choose(data, state, draws)
+            rows, imitated, guarded, state = self._choose(data, state, draws)
             # Without the sampler's entries: the step is compiled once, whatever the sampler.
             own = {name: x for name, x in state.items() if not name.startswith("sampler_")}
-            new, metrics = self._step(own, rows, draws)
+            new, metrics = self._step(own, rows, imitated, draws)
             return {**state, **new}, torch.cat((metrics, guarded.view(1)))
 
         return update
 
-    def _choose(self, data: Data, state: State, draws: Draws) -> tuple[Tensor, Tensor, State]:
+    def _choose(
+        self, data: Data, state: State, draws: Draws
+    ) -> tuple[Tensor, Tensor, Tensor, State]:
         gathered = self._sampler.gather(state, data, draws)
-        selection = self._select(state, gathered, draws)
-        rows = data.rows.index_select(0, selection.rows)
-        return rows, selection.guarded, {**state, **selection.changed}
+        chosen = self._select(state, gathered, draws)
+        rows = data.rows.index_select(0, chosen.rows)
+        same = chosen.imitated is chosen.rows
+        imitated = rows if same else data.rows.index_select(0, chosen.imitated)
+        return rows, imitated, chosen.guarded, {**state, **chosen.changed}
 
     def _draws(
         self, noise: Mapping[str, Draw], extent: Extent, phase: Phase, kind: str

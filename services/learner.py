@@ -102,7 +102,9 @@ class LearnerService:
         dataset, agent = self._run.description.dataset, self._agent
         path = store.agent_file(dataset.name, agent.name, dataset.transitions)
         data = store.load_agent(path, agent.name)
-        return Learner(self._run.description, agent, data, self._task)
+        team = self._run.team
+        place = (team.index(agent.name), len(team.agents))
+        return Learner(self._run.description, agent, data, self._task, place)
 
     def _pretrain(self) -> None:
         offline = self._folder.offline_checkpoint(self._name)

@@ -87,7 +87,10 @@ class Bcq(ActorCritic):
         new = dict(state, updates=state["updates"] + 1)
 
         new, vae_loss = descend(
-            new, "vae", self.vae_learning_rate, lambda vae: self.vae_loss(vae, imitated, noise["vae"])
+            new,
+            "vae",
+            self.vae_learning_rate,
+            lambda vae: self.vae_loss(vae, imitated, noise["vae"]),
         )
 
         target = self.target(new, batch, noise["target"])

@@ -86,7 +86,8 @@ class Action(NamedTuple):
 class Status:
     """What a process does.
 
-    phase: of a learner "starting", "embedding", "offline", "tuning", "ready"; of the env host
+    phase: of a learner "starting", "offline", "embedding" or "dynamics" (what its distance
+        fits to B_0), "tuning", "ready"; of the env host
         "starting", "evaluation", "deployment", "done".
     update, total: updates of a learner, steps of the env host, done and to be done in the phase.
     rate: updates or steps a second, measured between two statuses.

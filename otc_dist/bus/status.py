@@ -10,11 +10,12 @@ from otc_dist.bus.keys import Keys
 from otc_dist.bus.messages import Status, decode_status, encode_status
 from otc_dist.bus.session import Session
 from otc_dist.bus.wire import RejectedError, Rejections
+from otc_dist.description.distances import FITS
 
 _PERIOD = 0.5  # seconds between two statuses of a process
 
 # What a learner may be busy with while the env host waits for it.
-BUSY = frozenset({"starting", "embedding", "offline", "tuning"})
+BUSY = frozenset({"starting", "offline", *FITS, "tuning"})
 
 
 class Heartbeat:

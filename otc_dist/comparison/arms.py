@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from otc_dist.description import Description
+from otc_dist.description.distances import DISTANCES
 from otc_dist.errors import UserError, unknown
 
 Arms = dict[str, tuple[str, ...]]  # name -> `section.key=value` assignments
@@ -10,30 +11,36 @@ Arms = dict[str, tuple[str, ...]]  # name -> `section.key=value` assignments
 REFERENCE = "uniform"  # every arm is compared with it
 NULL = "uniform-null"  # the reference with other minibatches: what chance alone does
 
-_OTC = "sampling.name=otc"
-_EMBEDDING = (_OTC, "sampling.distance=embedding")
-_VALUE = (_OTC, "sampling.distance=value")
-_CHANGE = (_OTC, "sampling.distance=change")
+_RANK = ("sampling.name=otc", "sampling.acceptance=rank")
+_SHARE = ("sampling.name=otc", "sampling.acceptance=share", "sampling.share=0.1")
+_PAPER = ("sampling.corrects=all", "sampling.normaliser=paper", "sampling.with_replacement=true")
+
+
+def _of(distance: str, *assignments: str) -> tuple[str, ...]:
+    return (*assignments, f"sampling.distance={distance}")
+
+
 KNOWN: Arms = {
-    "otc-embedding": _EMBEDDING,
-    "otc-embedding-fixed": (*_EMBEDDING, "sampling.adaptive=false"),
-    "otc-value": _VALUE,
-    "otc-value-fixed": (*_VALUE, "sampling.adaptive=false"),
-    "otc-value-paper": (*_VALUE, "sampling.normaliser=paper"),
-    "otc-value-shared": (*_VALUE, "sampling.normaliser=shared"),
-    "otc-change": _CHANGE,
-    "otc-change-fixed": (*_CHANGE, "sampling.adaptive=false"),
+    **{f"otc-{name}": _of(name, *_RANK) for name in DISTANCES if name != "random"},
+    **{f"{name}-share": _of(name, *_SHARE) for name in DISTANCES},
+    "otc-embedding-fixed": _of("embedding", *_RANK, "sampling.adaptive=false"),
+    "otc-value-fixed": _of("value", *_RANK, "sampling.adaptive=false"),
+    "otc-value-shared": _of("value", *_RANK, "sampling.normaliser=shared"),
+    "paper-embedding": _of("embedding", *_RANK, *_PAPER),
+    "paper-value": _of("value", *_RANK, *_PAPER),
+    "dynamics-conformal": _of("dynamics", "sampling.name=otc", "sampling.acceptance=conformal"),
     REFERENCE: ("sampling.name=uniform",),
+    "rlpd": ("sampling.name=uniform", "sampling.online_share=0.5"),
     "online-only": ("sampling.name=online-only",),
     "balanced": ("sampling.name=balanced",),
     NULL: ("sampling.name=uniform", "minibatch_key=1"),
 }
-_USUAL = ("otc-embedding", "otc-value", "balanced", REFERENCE, "online-only")
+_USUAL = ("dynamics-share", "typical-share", "random-share", REFERENCE)
 
 
 def usual(base: Description) -> str:
-    """The arms of a comparison that names none, comma-separated; d_q's only with a Q."""
-    return ",".join(name for name in _USUAL if base.algorithm.has_q or KNOWN[name] != _VALUE)
+    """The arms of a comparison that names none, comma-separated."""
+    return ",".join(_USUAL)
 
 
 def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:
@@ -100,8 +107,8 @@ def describe(base: Description, assignments: Sequence[str], seed: int) -> Descri
 
 
 def of_seed(base: Description, seed: int) -> Description:
-    """How the offline policies of a seed are trained, with the embedding that d_e needs."""
-    return base.with_assignments(*KNOWN["otc-embedding"], f"seed={seed}")
+    """How the offline policies of a seed are trained."""
+    return base.with_assignments(f"seed={seed}")
 
 
 def check(base: Description, arms: Mapping[str, Sequence[str]]) -> None:

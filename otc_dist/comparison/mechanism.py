@@ -87,7 +87,7 @@ def _selected(
             "candidates": random.integers(0, pool.size, (1, sampling.candidates)),
             "references": random.permutation(newest)[None, :count],
         }
-        arrays = to_tensors({**indices, **draw(random, wanted, 1)}, pool.data.rows.device)
+        arrays = to_tensors({**indices, **draw(random, wanted, 1)}, specimen.engine.device)
         draws = {name: array[0] for name, array in arrays.items()}
         for row, way in of_row.items():
             with torch.no_grad():

@@ -16,8 +16,9 @@ from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.comparison.specimen import Specimen
 from otc_dist.datasets import store
 from otc_dist.description import Description
+from otc_dist.folds import folds
 from otc_dist.otc import create_sampler
-from otc_dist.otc.samplers import Data, Extent
+from otc_dist.otc.samplers import Data, Extent, Held
 from otc_dist.randomness import stream
 from otc_dist.training import BLOCK, train
 from otc_dist.transitions import Float64, Transitions
@@ -27,7 +28,7 @@ from otc_dist.transitions import Float64, Transitions
 class Pool:
     """One agent's rows: some of B_1, then all of D_1."""
 
-    data: Data
+    data: dict[str, Data]  # of each distance
     size: int  # rows before D_1's
     mismatch: Tensor  # (N,) l2 distance over all other agents' action components
     value: Tensor  # (N,) V(s'), not a number without a Q
@@ -59,13 +60,15 @@ def pools(
     chosen = stream(seed, "mechanism", "pool").choice(count, size, replace=False)
     numbers = np.concatenate([chosen, np.arange(offline, count)])
     is_online = torch.from_numpy(numbers >= offline)
-    rows, priorities = [], []
+    rows, halves, priorities = [], [], []
     for index, specimen in enumerate(specimens):
         tell(0.1 * index / len(specimens), "Balanced Replay's density ratio")
-        newest = team.own_transitions(online, index)
-        merged = specimen.rows(Transitions.concatenate([joint.of_agent(index), newest]))
+        before, newest = joint.of_agent(index), team.own_transitions(online, index)
+        merged = specimen.rows(Transitions.concatenate([before, newest]))
         learned = _balanced_priorities(description, specimen, merged, offline, index)
         rows.append(merged[torch.from_numpy(numbers)])
+        both = np.concatenate([folds(before), folds(newest)])
+        halves.append(torch.from_numpy(both[numbers]))
         priorities.append(learned[torch.from_numpy(chosen)])
     gaps = []  # of each agent, (N, a)
     for index, (specimen, mine) in enumerate(zip(specimens, rows, strict=True)):
@@ -74,7 +77,7 @@ def pools(
     tell(0.4, "embeddings and values")
     return [
         Pool(
-            Data(mine, specimen.embeddings(mine)),
+            specimen.data(mine, halves[index]),
             size,
             torch.from_numpy(np.linalg.norm(np.concatenate(_others(gaps, index), axis=1), axis=1)),
             specimen.next_values(mine, stream(seed, "mechanism", "value", index)),
@@ -95,10 +98,10 @@ def _balanced_priorities(
     """Balanced Replay's priorities (N,) of all rows of B_1 after the first deployment's L updates,
     in which w learned and the policy did not.
     """
-    section = description.with_assignments("sampling.name=balanced").sampling
-    batch = description.algorithm.batch_size
-    sampler = create_sampler(section, specimen.algorithm, specimen.layout, batch, len(rows))
-    extent, data = Extent(offline, offline, len(rows)), Data(rows, rows[:, :0])
+    described = description.with_assignments("sampling.name=balanced")
+    sampler = create_sampler(specimen.setting._replace(description=described), len(rows))
+    extent = Extent(offline, offline, len(rows))
+    data = Data(rows, rows[:, :0], rows[:0, 0], rows[:0, 0])
 
     def random(*key: int | str) -> np.random.Generator:
         return stream(description.seed, "mechanism", "balanced", agent, *key)
@@ -112,7 +115,8 @@ def _balanced_priorities(
         return {**state, **selection.changed}, selection.guarded.view(1)
 
     with torch.no_grad():
-        begun = sampler.begin(specimen.state, extent, random("begin"))
+        held = Held(specimen.state, data, extent, specimen.engine, random)
+        begun = {**specimen.state, **sampler.begin(held).changed}
         span = (0, description.deployment.updates)
         learned = train(begun, update, draw_block, rows.device, span, BLOCK, _ignore)
     return learned["sampler_priorities"].view(-1)[: len(rows)]

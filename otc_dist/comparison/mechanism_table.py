@@ -15,18 +15,6 @@ BALANCED = "Balanced Replay"
 UNIFORM = "uniform, other minibatches"
 ORACLE = "oracle: the mismatch itself"
 ONLINE = "D_1 alone, uniform"
-ROWS = (
-    "d_e",
-    "d_q, paper",
-    "d_q, shared",
-    "d_q, relative",
-    BALANCED,
-    "raw (s, a) match, raw s'",
-    "nearness in (s, a) alone",
-    UNIFORM,
-    ORACLE,
-    ONLINE,
-)
 
 
 @dataclass(frozen=True)
@@ -110,8 +98,7 @@ def read(paths: Sequence[Path]) -> Mechanism:
         uniform = [value for file in files for value in file["uniform_mismatch"].values()]
         rows = [
             Row.of(name, [one for file in files for one in file["selected"][name].values()])
-            for name in ROWS
-            if name in files[0]["selected"]
+            for name in files[0]["selected"]
         ]
         first = files[0]
         agents = len(first["uniform_mismatch"])

@@ -1,7 +1,10 @@
 """The ways of selecting that the mechanism check holds against each other."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,15 +14,21 @@ from otc_dist.comparison.mechanism_pool import Pool
 from otc_dist.comparison.mechanism_table import BALANCED, ORACLE, UNIFORM
 from otc_dist.comparison.specimen import Specimen
 from otc_dist.description import Description
+from otc_dist.description.distances import DISTANCES
 from otc_dist.otc import priorities
+from otc_dist.otc.acceptance import rank
+from otc_dist.otc.distances import create_distance
 from otc_dist.otc.prioritization import prioritize
-from otc_dist.otc.samplers import Otc
+from otc_dist.otc.samplers import Extent, Held
+from otc_dist.randomness import stream
 from otc_dist.transitions import RowLayout
 
 Way = Callable[[Draws], Tensor]  # selected rows (batch,) of the pool, from one minibatch's draws
 Distances = Callable[[Draws], Tensor]  # of the candidates (B,) of one minibatch
 
-_NORMALISERS = ("paper", "shared", "relative")
+BEST = 0.1  # of the pool
+TENTH = "best tenth"
+_OTC = ("sampling.name=otc", "sampling.acceptance=rank", "sampling.matching=minibatch")
 
 
 def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, Way]:
@@ -42,12 +51,15 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
 
         return rows
 
-    def otc(*assignments: str) -> Way:
-        section = description.with_assignments(*assignments).sampling
-        sampler = Otc(specimen.critic, specimen.layout, section, batch)
+    def within(name: str, assignments: Sequence[str]) -> Way:
+        """By distances within a minibatch, as Algorithm 1 has it."""
+        described = description.with_assignments(*_OTC, f"sampling.distance={name}", *assignments)
+        setting = specimen.setting._replace(description=described)
+        sampler = rank.create(create_distance(name, setting), described.sampling, batch)
+        assert isinstance(sampler, rank.RankMatched)
 
         def distances(draws: Draws) -> Tensor:
-            gathered = sampler.gather(specimen.state, pool.data, draws)
+            gathered = sampler.gather(specimen.state, pool.data[name], draws)
             return sampler.distances(specimen.state, gathered, draws)[0]
 
         return ranked(distances)
@@ -62,14 +74,20 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
         difference = successors[draws["candidates"]] - successors[matched]
         return difference.square().sum(dim=1)
 
+    found: dict[str, Way] = {}
+    for name, facts in DISTANCES.items():
+        if facts.needs_q and not specimen.critic:
+            continue
+        if facts.per_update:
+            for title, assignments in (facts.rows or {facts.title: ()}).items():
+                found[title] = within(name, assignments)
+        scores = _scores(description, specimen, pool, name)
+        if not facts.per_update:
+            found[facts.title] = ranked(partial(_looked_up, scores))
+        best = scores.argsort(stable=True)[: math.ceil(BEST * pool.size)]
+        found[f"{facts.title}, {TENTH}"] = partial(_any_of, best)
     held = priorities.of(pool.priorities)
-    values = {
-        f"d_q, {name}": otc("sampling.distance=value", f"sampling.normaliser={name}")
-        for name in (_NORMALISERS if specimen.critic else ())
-    }
-    return {
-        "d_e": otc("sampling.distance=embedding"),
-        **values,
+    return found | {
         BALANCED: lambda draws: priorities.choose(*held, draws["balanced"]),
         "raw (s, a) match, raw s'": ranked(raw),
         "nearness in (s, a) alone": ranked(lambda draws: gaps(draws).amin(dim=1)),
@@ -79,19 +97,43 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
     }
 
 
+def _looked_up(scores: Tensor, draws: Draws) -> Tensor:
+    return scores[draws["candidates"]]
+
+
+def _any_of(rows: Tensor, draws: Draws) -> Tensor:
+    """As many of `rows` as a batch has, each as likely as another."""
+    return rows[(draws["balanced"] * len(rows)).long()]
+
+
+def _scores(description: Description, specimen: Specimen, pool: Pool, name: str) -> Tensor:
+    """Scores (size,) of the pool's rows, by all of D_1."""
+
+    def random(*key: int | str) -> np.random.Generator:
+        return stream(description.seed, "mechanism", "scores", name, *key)
+
+    data, size = pool.data[name], pool.size
+    extent = Extent(size, size, len(data.rows))
+    held = Held(specimen.state, data, extent, specimen.engine, random)
+    with torch.no_grad():
+        return (
+            create_distance(name, specimen.setting).scores(held, exclude_self=False).values[:size]
+        )
+
+
 def noise(description: Description, specimen: Specimen) -> dict[str, Draw]:
     """The random arrays that all ways need for one minibatch."""
     sampling, batch = description.sampling, description.algorithm.batch_size
     wanted: dict[str, Draw] = {}
     if specimen.critic:
         wanted.update(specimen.critic.value_noise(sampling.candidates, sampling.value_samples))
-    wanted |= Otc(specimen.critic, specimen.layout, sampling, batch).noise()
-    return wanted | {"balanced": Draw("uniform", (batch,))}
+    priority = {"priority": Draw("exponential", (sampling.candidates,))}
+    return wanted | priority | {"balanced": Draw("uniform", (batch,))}
 
 
 def _standardised(pool: Pool, layout: RowLayout) -> tuple[Tensor, Tensor]:
     """(s, a) and s' of all rows, each component standardised over the pool."""
-    batch = unpack(pool.data.rows, layout)
+    batch = unpack(pool.data["random"].rows, layout)
     actions = action_features(batch.action, layout.choices)
     state_std, state_mean = torch.std_mean(batch.observation[: pool.size], dim=0)
     action_std, action_mean = torch.std_mean(actions[: pool.size], dim=0)

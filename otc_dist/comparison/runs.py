@@ -5,7 +5,7 @@ All brains of a run live in one process here. Environment seeds and acting noise
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 
 from otc_dist import team
@@ -13,6 +13,7 @@ from otc_dist.comparison.arms import describe, of_seed
 from otc_dist.comparison.scores import ComparisonFolder, Evaluation, Run, read_json, write_json
 from otc_dist.datasets import store
 from otc_dist.description import Description
+from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.learner import Learner, Progress
@@ -23,17 +24,18 @@ Tell = Callable[[float, str], None]  # share of the job that is done, and where 
 def train_offline(
     folder: ComparisonFolder, base: Description, seed: int, agent: str, tell: Tell
 ) -> None:
-    """Train pi_0 of one agent and the embedding, from its newest unfinished checkpoint."""
+    """Train pi_0 of one agent, and what any arm's distance fits to B_0, from its newest unfinished
+    checkpoint.
+    """
     files = folder.seed(seed)
-    learner = _learner(of_seed(base, seed), agent)
+    learner = _learner(of_seed(base, seed), agent, fits=DISTANCES)
     unfinished = files.offline_checkpoint(agent)
     if unfinished.exists():
         learner.load(unfinished)
-    offline, embedding = base.offline.updates, base.embedding.updates
+    offline = base.offline.updates
 
     def report(progress: Progress) -> None:
-        before = 0 if progress.phase == "offline" else offline
-        share = (before + progress.update) / max(offline + embedding, 1)
+        share = progress.update / offline if progress.phase == "offline" and offline else 1.0
         tell(share, f"{progress.phase} {progress.update:,} of {progress.updates:,}")
 
     learner.pretrain(report, lambda: learner.save(unfinished))
@@ -75,9 +77,10 @@ def run_arm(
             tell((k - 1 + share) / count, f"{where} {k} of {count}")
 
         measured = _deploy_and_tune(learners, k, tell_of_k)
-        if description.sampling.name == "otc":
-            alphas.append({name: values["alpha"] for name, values in measured.items()})
-            similarities.append({name: values["similarity"] for name, values in measured.items()})
+        ranked = {name: values for name, values in measured.items() if "alpha" in values}
+        if ranked:
+            alphas.append({name: values["alpha"] for name, values in ranked.items()})
+            similarities.append({name: values["similarity"] for name, values in ranked.items()})
         evaluations.append(_evaluate(learners, k))
     run = Run(
         arm=arm,
@@ -105,12 +108,14 @@ def restored(folder: ComparisonFolder, description: Description) -> list[Learner
     return learners
 
 
-def _learner(description: Description, agent: str) -> Learner:
+def _learner(description: Description, agent: str, fits: Iterable[str] = ()) -> Learner:
     spec = registry.team_spec(description.env.id)
     dataset = description.dataset
     path = store.agent_file(dataset.name, agent, dataset.transitions)
     data, task = store.load_agent(path, agent), registry.task(description.env.id)
-    return Learner(description, spec.agents[spec.index(agent)], data, task)
+    index = spec.index(agent)
+    place = (index, len(spec.agents))
+    return Learner(description, spec.agents[index], data, task, place, fits=fits)
 
 
 def _deploy_and_tune(

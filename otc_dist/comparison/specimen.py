@@ -13,9 +13,12 @@ from otc_dist.algorithms import create
 from otc_dist.algorithms.draws import Draw, Draws, draw, to_tensors
 from otc_dist.algorithms.interface import Critic, State, unpack
 from otc_dist.description import Description
-from otc_dist.embedder import Embedder
+from otc_dist.description.distances import DISTANCES
 from otc_dist.engine import Engine
 from otc_dist.envs import registry
+from otc_dist.otc.distances import create_features
+from otc_dist.otc.distances.interface import Features, Setting
+from otc_dist.otc.samplers import Data
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
 
@@ -32,15 +35,18 @@ class Specimen:
 
     def __init__(self, description: Description, spec: AgentSpec, path: Path) -> None:
         arrays, _ = checkpoint.read(path)
-        parts = checkpoint.parts(arrays, "algorithm", "embedding")
+        parts = checkpoint.parts(arrays)
         self.layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
         self.algorithm = create(description.algorithm, spec, registry.task(description.env.id))
         self.critic = self.algorithm if isinstance(self.algorithm, Critic) else None
-        engine = Engine("eager")
-        self.state: State = to_tensors(parts["algorithm"], engine.device)
-        self._embedder = Embedder(description.embedding, self.layout, engine)
-        self._embedder.state = to_tensors(parts["embedding"], engine.device)
-        self._embedding_size = description.embedding.size
+        self.engine = Engine("eager")
+        self.state: State = to_tensors(parts["algorithm"], self.engine.device)
+        self.setting = Setting(description, self.layout, self.critic)
+        self._features: dict[str, Features] = {}  # of each distance that keeps some
+        for name in DISTANCES:
+            if features := create_features(name, self.setting, self.engine):
+                features.state = to_tensors(parts[features.name], self.engine.device)
+                self._features[name] = features
         self._scale = ActionScale(spec)
 
     def rows(self, data: Transitions) -> Tensor:
@@ -51,11 +57,14 @@ class Specimen:
         actions[:] = self._scale.scaled(actions)
         return torch.from_numpy(buffer.rows)
 
-    def embeddings(self, rows: Tensor) -> Tensor:
-        """mu (N, e) of packed rows."""
-        out = torch.empty(len(rows), self._embedding_size)
-        self._embedder.embed(rows, out)
-        return out
+    def data(self, rows: Tensor, folds: Tensor) -> dict[str, Data]:
+        """Distance -> packed rows (N, width) with what it keeps of them."""
+        held = {name: Data(rows, rows[:, :0], folds, rows[:0, 0]) for name in DISTANCES}
+        for name, features in self._features.items():
+            out = torch.empty(len(rows), features.size)
+            features.embed(rows, folds, out)
+            held[name] = held[name]._replace(features=out)
+        return held
 
     def gap(self, rows: Tensor, random: np.random.Generator) -> Float32:
         """How far the rows' own actions are from what its policy would do now: a - pi(s) (N, a),

@@ -4,6 +4,7 @@ The same description and seed give the same run, to the byte.
 """
 
 import hashlib
+import math
 import re
 import tomllib
 from collections.abc import Iterable
@@ -15,11 +16,13 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from otc_dist.description.algorithms import AlgorithmSection, BcqSection
 from otc_dist.description.assignments import assign, explain
+from otc_dist.description.distances import DISTANCES
 from otc_dist.description.section import Section
 from otc_dist.description.sections import (
     BusSection,
     DatasetSection,
     DeploymentSection,
+    DynamicsSection,
     EmbeddingSection,
     EngineSection,
     EnvSection,
@@ -51,6 +54,7 @@ class Description(Section):
     dataset: DatasetSection
     algorithm: AlgorithmSection = BcqSection()
     embedding: EmbeddingSection = EmbeddingSection()
+    dynamics: DynamicsSection = DynamicsSection()
     sampling: SamplingSection = SamplingSection()
     offline: OfflineSection = OfflineSection()
     deployment: DeploymentSection = DeploymentSection()
@@ -90,12 +94,20 @@ class Description(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         batch, sampling = self.algorithm.batch_size, self.sampling
-        if sampling.name == "otc" and sampling.distance == "value" and not self.algorithm.has_q:
+        otc = sampling.name == "otc"
+        if otc and DISTANCES[sampling.distance].needs_q and not self.algorithm.has_q:
             raise ValueError(
-                f"sampling.distance = 'value' needs a Q, and {self.algorithm.name} has none;"
-                " use 'embedding'"
+                f"sampling.distance = {sampling.distance!r} needs a Q, and"
+                f" {self.algorithm.name} has none; use 'embedding'"
             )
-        if sampling.name == "otc" and not batch <= sampling.candidates:
+        deployed, conformal = self.deployment.transitions, sampling.acceptance == "conformal"
+        if otc and conformal and 0 < deployed < math.ceil(1 / sampling.level) - 1:
+            raise ValueError(
+                f"sampling.level = {sampling.level:g} needs deployments of at least"
+                f" {math.ceil(1 / sampling.level) - 1} transitions, not {deployed}: no p-value"
+                " among fewer is as small"
+            )
+        if otc and not batch <= sampling.candidates:
             raise ValueError(
                 f"algorithm.batch_size ({batch}) must not exceed sampling.candidates"
                 f" ({sampling.candidates}), from which it is drawn"
@@ -193,7 +205,7 @@ class Description(Section):
 
     def offline_digest(self) -> str:
         """Identifies what the offline policy pi_0 depends on, as `digest` does the whole."""
-        parts = {"seed", "dataset", "algorithm", "embedding", "offline", "engine"}
+        parts = {"seed", "dataset", "algorithm", "embedding", "dynamics", "offline", "engine"}
         return _hash(self.model_dump_json(include=parts) + self.env.id)
 
 

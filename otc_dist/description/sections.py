@@ -1,15 +1,29 @@
 """The sections of a launch description, but for the algorithm's: one class each."""
 
-from typing import Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, PositiveInt
+from pydantic import AfterValidator, Field, PositiveInt, model_validator
+from pydantic_core import PydanticCustomError
 
+from otc_dist.description.distances import DISTANCES
 from otc_dist.description.section import Section
 
 EngineName = Literal["auto", "compiled", "cuda-graph", "eager"]
 SamplingName = Literal["otc", "uniform", "online-only", "balanced"]
-DistanceName = Literal["embedding", "value", "change"]
+AcceptanceName = Literal["rank", "share", "conformal"]
 NormaliserName = Literal["relative", "shared", "paper"]
+
+
+def _known_distance(name: str) -> str:
+    if name not in DISTANCES:
+        expected = ", ".join(map(repr, DISTANCES))
+        raise PydanticCustomError(
+            "literal_error", "must be one of {expected}", {"expected": expected}
+        )
+    return name
+
+
+DistanceName = Annotated[str, AfterValidator(_known_distance)]
 
 
 class EnvSection(Section):
@@ -45,13 +59,45 @@ class EmbeddingSection(Section):
     )
 
 
+class DynamicsSection(Section):
+    """The forward model of d_f and `typical`, trained on B_0 only, and d_f's correction of it."""
+
+    hidden: tuple[PositiveInt, ...] = Field(default=(128, 128))
+    updates: int = Field(default=5_000, ge=1, description="of each of its two networks")
+    batch_size: int = Field(default=256, ge=1)
+    learning_rate: float = Field(default=1e-3, gt=0)
+    correction_hidden: tuple[PositiveInt, ...] = Field(default=(64, 64))
+    correction_updates: int = Field(
+        default=500, ge=1, description="on D_k, of each of two networks, at most"
+    )
+
+
 class SamplingSection(Section):
     """How minibatches are drawn from B_k while tuning (Algorithm 1, lines 10 to 14)."""
 
     name: SamplingName = "otc"
     distance: DistanceName = Field(
         default="embedding",
-        description="d_e, d_q, or d_c: matched by (s, a), compared by s' - s",
+        description="; ".join(f"{name}: {facts.meaning}" for name, facts in DISTANCES.items()),
+    )
+    acceptance: AcceptanceName = Field(
+        default="rank",
+        description="rank: Eq. 3, by the rank in a minibatch; share: the best share of B_k;"
+        " conformal: what D_k itself could have looked like",
+    )
+    corrects: Literal["values", "all"] = Field(
+        default="values",
+        description="values: what imitates the data sees a plain sample of B_k; all: the paper's",
+    )
+    share: float = Field(default=0.1, gt=0, le=1, description="of B_k that `share` accepts")
+    level: float = Field(
+        default=0.01,
+        gt=0,
+        lt=1,
+        description="p-value from which `conformal` accepts a row for sure",
+    )
+    online_share: float = Field(
+        default=0.0, ge=0, lt=1, description="of every batch that is D_1 .. D_k's (RLPD: 0.5)"
     )
     matching: Literal["minibatch", "exact"] = Field(
         default="minibatch",
@@ -84,6 +130,20 @@ class SamplingSection(Section):
         default=5.0, gt=0, description="T: Balanced Replay's priorities are w(s, a)^(1/T)"
     )
 
+    @property
+    def matches_minibatches(self) -> bool:
+        """Whether distances change from update to update: by a minibatch D, or with Q."""
+        return self.matching == "minibatch" or self.distance == "value"
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.online_share and self.name in ("online-only", "balanced"):
+            raise ValueError(
+                f"sampling.online_share is for 'otc' and 'uniform': {self.name} chooses its online"
+                " data itself"
+            )
+        return self
+
 
 class OfflineSection(Section):
     """Offline training to pi_0. Targets with tau 0.005 settle in tens of thousands of updates."""
@@ -95,6 +155,10 @@ class DeploymentSection(Section):
     """The K deployments and the tuning after each."""
 
     count: int = Field(default=10, ge=0, description="K, deployments")
+    turns: bool = Field(
+        default=False,
+        description="agents tune in turns, one after each deployment: 1/N of all updates",
+    )
     fraction: float = Field(default=0.01, gt=0, le=1, description="M as a share of |B_0|")
     transitions: int = Field(default=0, ge=0, description="M; 0: fraction of |B_0|")
     updates: int = Field(

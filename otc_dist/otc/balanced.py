@@ -22,7 +22,7 @@ from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import State, action_features, unpack
 from otc_dist.algorithms.networks import Mlp, adam, value_and_gradient
 from otc_dist.otc import priorities
-from otc_dist.otc.samplers import Data, Extent, Gathered, Indices, Selection
+from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, Selection
 from otc_dist.transitions import RowLayout
 
 ONLINE_SHARE = 0.5  # of D_k in the first minibatches after a deployment (init_online_fraction)
@@ -56,6 +56,10 @@ class Balanced:
         actions = self.layout.choices or self.layout.action_size
         return Mlp((self.layout.observation_size, actions), self.hidden, 1)
 
+    @property
+    def computes(self) -> bool:
+        return True
+
     def noise(self) -> dict[str, Draw]:
         return {"priority": Draw("uniform", (self.batch_size,))}
 
@@ -67,19 +71,20 @@ class Balanced:
             "online": random.integers(extent.offline, extent.size, shape),
         }
 
-    def begin(self, state: State, extent: Extent, random: np.random.Generator) -> State:
+    def begin(self, held: Held) -> Begun:
         """Give D_k its priority, and at the first deployment a fresh w and priority 1 to B_0.
 
         p_new = f / (1 - f) * (sum of the priorities of B_{k-1}) / |D_k|, so that D_k is the share
         f = ONLINE_SHARE of the first minibatches. With priorities of 1 this is the authors'
         f |B_0| / ((1 - f) N) for their N = 1000 new transitions. Each keeps it until drawn once.
         """
-        mine = {key: value for key, value in state.items() if key.startswith("sampler_")}
-        mine = mine or self._fresh(extent, random, next(iter(state.values())).device)
+        extent, device = held.extent, held.data.rows.device
+        mine = {key: value for key, value in held.state.items() if key.startswith("sampler_")}
+        mine = mine or self._fresh(extent, held.random("sampler"), device)
         each = ONLINE_SHARE / (1 - ONLINE_SHARE) * mine["sampler_sums"].sum()
         each = each / (extent.size - extent.newest)
-        held = priorities.fill(mine["sampler_priorities"], extent.newest, extent.size, each)
-        return mine | _named(held)
+        filled = priorities.fill(mine["sampler_priorities"], extent.newest, extent.size, each)
+        return Begun(held.data, mine | _named(filled))
 
     def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
         chosen = priorities.choose(*_priorities(state), draws["priority"])
@@ -110,7 +115,7 @@ class Balanced:
             "sampler_updates": updates,
             **_named(priorities.replace(*_priorities(state), numbers, found)),
         }
-        return Selection(numbers, found.new_zeros(()), changed)
+        return Selection(numbers, numbers, found.new_zeros(()), changed)
 
     def loss(self, density: Tensor, offline: Tensor, online: Tensor) -> Tensor:
         """mean [-log(2 / (w_off + 1)) - log(2 w_on / (w_on + 1))], whose minimum is reached by

@@ -3,10 +3,11 @@
 A sampler draws row numbers outside, for many updates at once (`draw`), gathers what it must
 look at (`gather`), and chooses by a pure function of it (`select`), which the engine runs.
 Gathering stays apart because a compiler that fuses it into the distance computation reads the
-buffer at random once for every pair: ten times slower.
+buffer at random once for every pair: ten times slower. What depends on a deployment only is
+computed once, before its updates (`begin`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple, Protocol
@@ -17,12 +18,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.interface import Critic, State, unpack
-from otc_dist.description import SamplingSection
-from otc_dist.otc.changes import matched_size
-from otc_dist.otc.distances import match_values, matched_l1, nearest_l1, next_state_distance
-from otc_dist.otc.prioritization import prioritize
-from otc_dist.transitions import RowLayout
+from otc_dist.algorithms.interface import State
+from otc_dist.engine import Engine
+
+Random = Callable[..., np.random.Generator]  # a stream for a key
 
 
 class Extent(NamedTuple):
@@ -34,39 +33,63 @@ class Extent(NamedTuple):
 
 
 class Data(NamedTuple):
-    """What a learner holds of its own: packed rows, and their embeddings where d_e is used, or
-    their features where d_c is.
-    """
+    """What a learner holds of its own: packed rows, and what its distance keeps beside them."""
 
     rows: Tensor  # (capacity, width)
-    embeddings: Tensor  # (capacity, e); e = 0 with d_q and without OTC
+    features: Tensor  # (capacity, n); n = 0 where no distance keeps anything
+    folds: Tensor  # (capacity,) 0 or 1: half of the episodes each
+    scores: Tensor  # (n,) of this deployment; n = 0 where none are computed beforehand
+
+
+class Held(NamedTuple):
+    """What one agent holds when D_k has been merged, before the updates."""
+
+    state: State  # the algorithm's
+    data: Data
+    extent: Extent
+    engine: Engine
+    random: Random  # keyed by this deployment as well
+
+
+class Begun(NamedTuple):
+    """What a sampler made of a deployment's data before the updates."""
+
+    data: Data
+    changed: Mapping[str, Tensor] = MappingProxyType({})  # entries of the state, if it learns
+    measured: Mapping[str, float] = MappingProxyType({})  # for people, and for Eq. 4
 
 
 class Selection(NamedTuple):
     """What one update is given, and what choosing it changed."""
 
-    rows: Tensor  # chosen row numbers (batch,)
+    rows: Tensor  # chosen row numbers (batch,), for values
+    imitated: Tensor  # row numbers (batch,) for what imitates the data
     guarded: Tensor  # how many normalisers were guarded (float scalar)
     changed: Mapping[str, Tensor] = MappingProxyType({})  # entries of the state, if it learns
 
 
-Indices = dict[str, NDArray[np.int64]]
+Indices = dict[str, NDArray[np.generic]]
 Gathered = dict[str, Tensor]
 
 
 class Sampler(Protocol):
     """A sampling strategy. What one learns lies in the brain's state, under keys `sampler_*`."""
 
+    @property
+    def computes(self) -> bool:
+        """Whether `select` computes so much that compiling it pays."""
+        ...
+
     def noise(self) -> dict[str, Draw]:
         """The random arrays that one `select` needs beside its indices."""
         ...
 
     def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
-        """Row numbers for `updates` updates, each array (updates, n)."""
+        """Row numbers, or what they are chosen by, for `updates` updates: each (updates, n)."""
         ...
 
-    def begin(self, state: State, extent: Extent, random: np.random.Generator) -> State:
-        """The sampler's entries of the state when D_k has been merged, before its L updates."""
+    def begin(self, held: Held) -> Begun:
+        """Prepare for the updates after a deployment, whose data have just been merged."""
         ...
 
     def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
@@ -85,6 +108,10 @@ class Uniform:
     batch_size: int
     online_only: bool = False
 
+    @property
+    def computes(self) -> bool:
+        return False
+
     def noise(self) -> dict[str, Draw]:
         return {}
 
@@ -92,105 +119,12 @@ class Uniform:
         start = extent.offline if self.online_only else 0
         return {"batch": random.integers(start, extent.size, (updates, self.batch_size))}
 
-    def begin(self, state: State, extent: Extent, random: np.random.Generator) -> State:
-        return {}
+    def begin(self, held: Held) -> Begun:
+        return Begun(held.data)
 
     def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
         return {}
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        return Selection(draws["batch"], torch.zeros((), device=draws["batch"].device))
-
-
-def feature_distances(
-    settings: SamplingSection,
-    layout: RowLayout,
-    queries: Tensor,
-    references: Tensor,
-    ids: tuple[Tensor, Tensor] | None,
-) -> Tensor:
-    """d_e, or d_c, (B,) of the rows of `Data.embeddings` that are `queries`, (B, F)."""
-    if settings.distance == "embedding":
-        return nearest_l1(queries, references, ids)
-    return matched_l1(queries, references, matched_size(layout), ids)
-
-
-@dataclass(frozen=True)
-class Otc:
-    """Online transition correction: rank-based prioritization by transition similarity.
-
-    B comes from B_k with replacement; D from D_k without, in random order, so that ties in the
-    match and in the rank fall at random. D_k is part of B_k, so a transition may match itself
-    (distance 0) unless `settings.exclude_self`.
-    """
-
-    critic: Critic | None
-    layout: RowLayout
-    settings: SamplingSection
-    batch_size: int
-
-    def noise(self) -> dict[str, Draw]:
-        draws = {"priority": Draw("exponential", (self.settings.candidates,))}
-        if self.settings.distance == "value":
-            draws.update(
-                self._critic.value_noise(self.settings.candidates, self.settings.value_samples)
-            )
-        return draws
-
-    @property
-    def _critic(self) -> Critic:
-        assert self.critic is not None  # a description without a Q does not ask for d_q
-        return self.critic
-
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
-        newest = np.arange(extent.newest, extent.size)
-        references = len(newest)
-        if self.settings.matching == "minibatch":
-            references = min(self.settings.references, references)
-        shuffled = random.permuted(np.broadcast_to(newest, (updates, len(newest))), axis=1)
-        return {
-            "candidates": random.integers(0, extent.size, (updates, self.settings.candidates)),
-            "references": shuffled[:, :references],
-        }
-
-    def begin(self, state: State, extent: Extent, random: np.random.Generator) -> State:
-        return {}
-
-    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
-        source = data.rows if self.settings.distance == "value" else data.embeddings
-        return {name: source.index_select(0, draws[name]) for name in ("candidates", "references")}
-
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        distances, guarded = self.distances(state, gathered, draws)
-        chosen = prioritize(
-            distances,
-            draws["alpha"],
-            draws["priority"],
-            self.batch_size,
-            with_replacement=self.settings.with_replacement,
-        )
-        return Selection(draws["candidates"][chosen], guarded)
-
-    def distances(self, state: State, gathered: Gathered, draws: Draws) -> tuple[Tensor, Tensor]:
-        """d(s', s'*) (B,) of the candidates, and how many normalisers were guarded."""
-        candidates, references = gathered["candidates"], gathered["references"]
-        ids = (draws["candidates"], draws["references"]) if self.settings.exclude_self else None
-        if self.settings.distance != "value":
-            near = feature_distances(self.settings, self.layout, candidates, references, ids)
-            return near, near.new_zeros(())
-        batch, online = unpack(candidates, self.layout), unpack(references, self.layout)
-        matches = match_values(
-            self._critic.q(state, batch.observation, batch.action),
-            self._critic.q(state, online.observation, online.action),
-            ids,
-        )
-        # Both values by the same noise: less noise in their difference.
-        values = self._values(state, batch.next_observation, batch.terminated, draws)
-        matched = self._values(
-            state, online.next_observation[matches], online.terminated[matches], draws
-        )
-        return next_state_distance(values, matched, self.settings.normaliser)
-
-    def _values(self, state: State, states: Tensor, terminated: Tensor, draws: Draws) -> Tensor:
-        """V(s') (B,), 0 at a terminal s'."""
-        return torch.where(terminated > 0, 0.0, self._critic.value(state, states, draws))
+        batch = draws["batch"]
+        return Selection(batch, batch, torch.zeros((), device=batch.device))

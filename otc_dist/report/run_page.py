@@ -5,6 +5,7 @@ import shlex
 from collections.abc import Mapping
 from datetime import datetime
 
+from otc_dist.description.distances import FITS
 from otc_dist.exploration import Schedule
 from otc_dist.report import html
 from otc_dist.report.results import QUICK_LABEL, offline_row, rows, tuned
@@ -165,7 +166,7 @@ def _learners(run: RunData) -> str:
     head = ["agent", "offline updates", "active dimensions", "tuned on", "alpha", "𝔻"]
     charts = [
         html.details(f"Training metrics: {phase}", html.pair(*_metric_charts(run, phase)))
-        for phase in ("embedding", "offline", "tuning")
+        for phase in ("offline", *FITS, "tuning")
         if any(agent.curves.get(phase) for agent in run.agents)
     ]
     return html.section("Learners", html.table(head, lines), *charts)

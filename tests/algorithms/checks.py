@@ -60,7 +60,7 @@ def assert_equals_plain(
         batch = batches(random, *sizes, BATCH)
         drawn = first(draw(random, algorithm.noise(BATCH), 1))
         noise = {name: spread * tensor for name, tensor in drawn.items()}
-        state, metrics = algorithm.update(state, batch, noise)
+        state, metrics = algorithm.update(state, batch, batch, noise)
         expected = plain.update(batch, noise)
         np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10, atol=1e-12)
     for name, weights in plain.weights().items():

@@ -67,7 +67,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
     for _ in range(UPDATES):
         batch = random_batch(random, s, a)
         noise = first(draw(random, bcq.noise(BATCH), 1))
-        state, metrics = bcq.update(state, batch, noise)
+        state, metrics = bcq.update(state, batch, batch, noise)
         expected = plain.update(batch, noise)
         np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10, atol=1e-12)
     for name, weights in plain.weights().items():
@@ -88,7 +88,8 @@ def test_update_leaves_its_arguments_alone() -> None:
     bcq = make(4, 2, (8, 8))
     state = double(bcq.initial_state(random, random_batch(random, 4, 2)))
     before = {name: tensor.clone() for name, tensor in state.items()}
-    new, _ = bcq.update(state, random_batch(random, 4, 2), first(draw(random, bcq.noise(BATCH), 1)))
+    batch = random_batch(random, 4, 2)
+    new, _ = bcq.update(state, batch, batch, first(draw(random, bcq.noise(BATCH), 1)))
     for name, tensor in before.items():
         assert torch.equal(state[name], tensor), name
         assert not torch.equal(new[name], tensor), name

@@ -68,7 +68,7 @@ def taught(bremen: Bremen, random: np.random.Generator) -> tuple[State, Batch]:
     batch = batch._replace(next_observation=batch.observation + batch.action)
     state = double(bremen.initial_state(random, batch))
     for _ in range(300):
-        state, _ = bremen.update(state, batch, {})
+        state, _ = bremen.update(state, batch, batch, {})
     return state, batch
 
 
@@ -181,7 +181,7 @@ def test_improvement_begins_from_the_clone() -> None:
     bremen = make(4, 2, (8, 8))
     state, batch = start(bremen, np.random.default_rng(3))
     for _ in range(2):
-        state, _ = bremen.update(state, batch, {})
+        state, _ = bremen.update(state, batch, batch, {})
     state, _ = improved(bremen, state, batch, seed=0)
     begun = bremen.begin_improvement(state)
     assert not torch.equal(begun["policy"], state["policy"])

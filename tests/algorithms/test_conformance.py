@@ -131,7 +131,7 @@ class Trial:
 
     def update(self, state: State) -> tuple[State, Tensor]:
         noise = self.draws(self.algorithm.noise(BATCH))
-        return self.algorithm.update(state, self.batch, noise)
+        return self.algorithm.update(state, self.batch, self.batch, noise)
 
 
 @EACH

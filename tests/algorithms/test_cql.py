@@ -102,7 +102,7 @@ def test_actions_stay_within_bounds_and_densities_finite_where_tanh_saturates() 
     state, batch = start(cql, random)
     state["actor"] = state["actor"] * 1000
     assert cql.act(state, batch.observation, {}).abs().max() == 1.0
-    _, metrics = cql.update(state, batch, first(draw(random, cql.noise(BATCH), 1)))
+    _, metrics = cql.update(state, batch, batch, first(draw(random, cql.noise(BATCH), 1)))
     assert metrics.isfinite().all()
 
 

@@ -83,7 +83,7 @@ def test_an_unavailable_action_with_a_huge_value_changes_nothing() -> None:
         outcome["loss"] = cql.critic_loss(begin["critic"], batch, outcome["target"])
         outcome["action"] = cql.act(begin, batch.observation, {})
         outcome["value"] = cql.value(begin, batch.observation, {})
-        outcome["critic"] = cql.update(begin, batch, {})[0]["critic"] - begin["critic"]
+        outcome["critic"] = cql.update(begin, batch, batch, {})[0]["critic"] - begin["critic"]
     for name, tensor in wanted.items():
         torch.testing.assert_close(found[name], tensor, rtol=0, atol=1e-9, msg=name)
     assert huge not in found["action"]
@@ -116,7 +116,7 @@ def test_no_available_action_at_a_terminal_state_spoils_nothing() -> None:
     dead = batch.next_observation.clone()
     dead[:, -3:] = 0.0
     batch = batch._replace(next_observation=dead, terminated=torch.ones(BATCH).double())
-    new, metrics = cql.update(state, batch, {})
+    new, metrics = cql.update(state, batch, batch, {})
     assert torch.equal(cql.target(state, batch), batch.reward)
     assert all(tensor.isfinite().all() for tensor in [metrics, *new.values()])
     assert cql.value(state, dead, {}).isfinite().all()

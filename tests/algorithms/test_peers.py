@@ -170,7 +170,7 @@ def test_bcq(noise: Noise) -> None:
         batch, draws = random_batch(random, S, A, BATCH), drawn(random, bcq)
         noise.will_be(draws["vae"], draws["target"].flatten(0, 1), draws["actor"])
         losses = peer.impl.update(peer.batch(batch), count)
-        state, metrics = bcq.update(state, batch, draws)
+        state, metrics = bcq.update(state, batch, batch, draws)
         expected = [losses[key] for key in ("vae_loss", "critic_loss", "actor_loss")]
         np.testing.assert_allclose(metrics[:3].numpy(), expected, rtol=ROUNDED)
     for network in networks(state):
@@ -202,7 +202,7 @@ def test_td3bc(noise: Noise) -> None:
         batch, draws = random_batch(random, S, A, BATCH), drawn(random, td3bc)
         noise.will_be(draws["target"])
         losses = peer.impl.update(peer.batch(batch), count)
-        state, metrics = td3bc.update(state, batch, draws)
+        state, metrics = td3bc.update(state, batch, batch, draws)
         # Ours counts the actor's loss twice every other update.
         expected = [losses["critic_loss"], 2 * losses.get("actor_loss", 0.0)]
         np.testing.assert_allclose(metrics[:2].numpy(), expected, rtol=ROUNDED)
@@ -312,6 +312,6 @@ def test_discrete_cql() -> None:
         for states in (batch.observation, batch.next_observation):
             states[:, -choices:] = 1
         losses = peer.impl.update(peer.batch(batch), count)
-        state, metrics = cql.update(state, batch, {})
+        state, metrics = cql.update(state, batch, batch, {})
         np.testing.assert_allclose(float(metrics[0]), losses["loss"], rtol=ROUNDED)
     peer.assert_equal(modules.q_funcs, cql.critic, state["critic"])

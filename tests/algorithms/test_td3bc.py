@@ -74,7 +74,7 @@ def test_actor_and_targets_wait_for_every_second_update() -> None:
     state, batch = start(td3bc, random)
     for count in range(1, 5):
         noise = first(draw(random, td3bc.noise(BATCH), 1))
-        new, metrics = td3bc.update(state, batch, noise)
+        new, metrics = td3bc.update(state, batch, batch, noise)
         unchanged = {name for name in state if torch.equal(new[name], state[name])}
         assert unchanged == (FROZEN if count % 2 == 0 else FROZEN | DELAYED)
         assert (metrics[1] == 0) == (count % 2 == 1)

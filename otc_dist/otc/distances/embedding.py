@@ -1,18 +1,26 @@
-"""Training of the embedding of d_e on B_0, and mu of every transition a learner holds."""
+"""d_e, the paper's: transitions are matched and compared in one learned embedding mu(s, a, s').
+
+The embedding is the encoder of a conditional VAE (otc/embedding.py), trained on B_0 and frozen.
+"""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draws, draw, to_tensors
+from otc_dist.algorithms.draws import Draw, Draws, draw, to_tensors
 from otc_dist.algorithms.interface import Batch, State, action_features, unpack
-from otc_dist.description import EmbeddingSection
+from otc_dist.description import EmbeddingSection, SamplingSection
 from otc_dist.engine import Engine
+from otc_dist.otc.distances.gaps import gaps
+from otc_dist.otc.distances.interface import Ids, Report, Scores, Setting
+from otc_dist.otc.distances.nearest import distances_to_newest, sampled_similarity
 from otc_dist.otc.embedding import Embedding, active_dimensions
+from otc_dist.otc.samplers import Data, Held, Random
 from otc_dist.training import BLOCK, train
 from otc_dist.transitions import RowLayout
 
@@ -20,34 +28,72 @@ CHUNK = 8192  # rows embedded at once: more take memory, not less time
 log = logging.getLogger(__name__)
 
 
-class Embedder:
-    """The frozen embedding mu(s, a, s') of one agent: `state` is None until it is trained.
+@dataclass(frozen=True)
+class EmbeddingDistance:
+    """d_e of one agent, over the embeddings that `Data.features` holds."""
 
-    Attributes:
-        size: of mu, e.
+    settings: SamplingSection
+
+    @classmethod
+    def create(cls, setting: Setting) -> "EmbeddingDistance":
+        return cls(setting.description.sampling)
+
+    @classmethod
+    def features(cls, setting: Setting, engine: Engine) -> "Embedder":
+        """mu of every transition."""
+        return Embedder(setting.description.embedding, setting.layout, engine)
+
+    def noise(self, candidates: int) -> dict[str, Draw]:
+        return {}
+
+    def gather(self, data: Data, numbers: Tensor) -> Tensor:
+        return data.features.index_select(0, numbers)
+
+    def between(
+        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, draws: Draws
+    ) -> tuple[Tensor, Tensor]:
+        near = nearest_l1(candidates, references, ids)
+        return near, near.new_zeros(())
+
+    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+        numbers = torch.arange(held.extent.size, device=held.data.rows.device)
+        return Scores(distances_to_newest(held, nearest_l1, numbers, exclude_self=exclude_self))
+
+    def similarity(self, held: Held) -> tuple[float, float]:
+        """𝔻_k over a sample of B_k."""
+        return sampled_similarity(held, nearest_l1, self.settings)
+
+
+def nearest_l1(queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:
+    """d_e: l1 distance (B,) of each query (B, e) to the nearest reference (D, e).
+
+    The one embedding mu(s, a, s') stands for both e(s, a) and e(s'), as in the paper's
+    implementation, so the matching distance is the next-state distance and no index is needed.
+
+    Args:
+        queries: mu (B, e).
+        references: mu (D, e).
+        ids: if a transition must not match itself.
     """
+    return gaps(queries, references, ids).amin(1)
+
+
+class Embedder:
+    """The frozen embedding mu(s, a, s') of one agent: see `Features`."""
+
+    name = "embedding"
 
     def __init__(self, section: EmbeddingSection, layout: RowLayout, engine: Engine) -> None:
         self._section, self._layout, self._engine = section, layout, engine
         settings = section.model_dump(exclude={"updates", "batch_size", "minimum_active"})
         action_size = layout.choices or layout.action_size
         self._embedding = Embedding(layout.observation_size, action_size, **settings)
-        self.size = section.size
+        self.size, self.updates = section.size, section.updates
         self.state: State | None = None
 
-    def train(
-        self,
-        rows: Tensor,
-        random: Callable[..., np.random.Generator],
-        report: Callable[[int, dict[str, float]], None],
-    ) -> None:
-        """Train on B_0 and freeze. Logs a warning if too few dimensions are active.
-
-        Args:
-            rows: packed rows (N, width) of B_0.
-            random: a stream for a key, as `Learner` keys them.
-            report: called with the updates done and their metrics, at the end with
-                `active_dimensions`.
+    def fit(self, rows: Tensor, folds: Tensor, random: Random, report: Report) -> None:
+        """Train on B_0 and freeze. Logs a warning if too few dimensions are active; the last report
+        has `active_dimensions`.
         """
         embedding, size, updates = self._embedding, self._section.batch_size, self._section.updates
         layout = self._layout
@@ -75,8 +121,8 @@ class Embedder:
         record = self._engine.record(update)
         train(state, record, draw_block, device, (0, updates), BLOCK, on_block)
 
-    def embed(self, rows: Tensor, out: Tensor) -> None:
-        """Write mu of packed rows (N, width) into `out` (N, e); does nothing before `train`."""
+    def embed(self, rows: Tensor, folds: Tensor, out: Tensor) -> None:
+        """Write mu of packed rows (N, width) to `out` (N, e); nothing before `fit`."""
         if self.state is None:
             return
         with torch.no_grad():
@@ -86,7 +132,7 @@ class Embedder:
 
     def _count_active(self, rows: Tensor) -> int:
         embeddings = torch.empty(len(rows), self.size, device=rows.device)
-        self.embed(rows, embeddings)
+        self.embed(rows, torch.empty(0), embeddings)
         active = active_dimensions(embeddings)
         if active < self._section.minimum_active:
             log.warning(

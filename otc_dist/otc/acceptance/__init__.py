@@ -1,0 +1,14 @@
+"""The rules by which transitions are accepted, given their distances: one file each."""
+
+from collections.abc import Callable
+
+from otc_dist.description import SamplingSection
+from otc_dist.otc.acceptance import conformal, rank, share
+from otc_dist.otc.distances.interface import Distance
+from otc_dist.otc.samplers import Sampler
+
+ACCEPTANCES: dict[str, Callable[[Distance, SamplingSection, int], Sampler]] = {
+    "rank": rank.create,
+    "share": share.create,
+    "conformal": conformal.create,
+}

@@ -1,0 +1,65 @@
+"""Acceptance once a deployment: every transition of B_k has a weight, and is drawn by it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.interface import State
+from otc_dist.description import SamplingSection
+from otc_dist.otc.distances.interface import Distance
+from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, Selection
+
+# From scores (size,), D_k's last, and the extent: how likely each row is accepted (size,), 0 to 1.
+Weigh = Callable[[SamplingSection, Tensor, Extent], Tensor]
+
+
+@dataclass(frozen=True)
+class Weighted:
+    """Draws rows of B_k in proportion to weights that follow from their scores.
+
+    D_k itself is always accepted whole: it is what the others are held against.
+
+    Attributes:
+        exclude_self: whether D_k is scored as if it were not there.
+    """
+
+    settings: SamplingSection
+    batch_size: int
+    distance: Distance
+    weigh: Weigh
+    exclude_self: bool = False
+
+    @property
+    def computes(self) -> bool:
+        return False
+
+    def noise(self) -> dict[str, Draw]:
+        return {}
+
+    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        return {"quantile": random.random((updates, self.batch_size))}
+
+    def begin(self, held: Held) -> Begun:
+        """`Data.scores` becomes the sums of the weights up to each row, in float64."""
+        extent = held.extent
+        exclude = self.exclude_self or self.settings.exclude_self
+        found = self.distance.scores(held, exclude_self=exclude)
+        weights = self.weigh(self.settings, found.values, extent).double()
+        weights[extent.newest :] = 1.0
+        sums = weights.cumsum(0)
+        accepted = float(sums[-1]) / extent.size
+        measured = {"accepted": accepted, "guarded": found.guarded}
+        return Begun(held.data._replace(scores=sums), measured=measured)
+
+    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
+        # Beyond [0, total) a row without weight could be met.
+        wanted = draws["quantile"] * data.scores[-1]
+        return {"rows": torch.searchsorted(data.scores, wanted, right=True)}
+
+    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+        rows = gathered["rows"]
+        return Selection(rows, rows, torch.zeros((), device=rows.device))

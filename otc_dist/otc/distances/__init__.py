@@ -1,0 +1,26 @@
+"""The distances of OTC, one file each; `otc_dist/description/distances.py` lists them."""
+
+from importlib import import_module
+from typing import Any
+
+from otc_dist.description.distances import DISTANCES
+from otc_dist.engine import Engine
+from otc_dist.otc.distances.interface import Distance, Features, Setting
+
+
+def create_distance(name: str, setting: Setting) -> Distance:
+    """The distance of that name for one agent."""
+    distance: Distance = _kind(name).create(setting)
+    return distance
+
+
+def create_features(name: str, setting: Setting, engine: Engine) -> Features | None:
+    """What the distance of that name keeps of transitions; None: it looks at their rows."""
+    make = getattr(_kind(name), "features", None)
+    features: Features | None = make(setting, engine) if make else None
+    return features
+
+
+def _kind(name: str) -> Any:
+    module, _, kind = DISTANCES[name].place.partition(":")
+    return getattr(import_module(module), kind)

@@ -1,0 +1,120 @@
+"""d_c, ours: transitions are matched by (s, a) and compared by s' - s.
+
+The embedding of d_e is what a conditional VAE needs to rebuild a from (s, s'), which may be a
+alone; d_c looks at the dynamics themselves. Each component is standardised over B_0.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.interface import State, action_features, unpack
+from otc_dist.algorithms.moments import moments
+from otc_dist.description import SamplingSection
+from otc_dist.engine import Engine
+from otc_dist.otc.distances.gaps import gaps
+from otc_dist.otc.distances.interface import Ids, Report, Scores, Setting
+from otc_dist.otc.distances.nearest import distances_to_newest, sampled_similarity
+from otc_dist.otc.samplers import Data, Held, Random
+from otc_dist.transitions import RowLayout
+
+CHUNK = 65_536  # rows looked at at once
+
+
+@dataclass(frozen=True)
+class ChangeDistance:
+    """d_c of one agent, over `Changes`."""
+
+    layout: RowLayout
+    settings: SamplingSection
+
+    @classmethod
+    def create(cls, setting: Setting) -> "ChangeDistance":
+        return cls(setting.layout, setting.description.sampling)
+
+    @classmethod
+    def features(cls, setting: Setting, engine: Engine) -> "Changes":
+        """(s, a) and s' - s of every transition."""
+        return Changes(setting.layout)
+
+    def noise(self, candidates: int) -> dict[str, Draw]:
+        return {}
+
+    def gather(self, data: Data, numbers: Tensor) -> Tensor:
+        return data.features.index_select(0, numbers)
+
+    def between(
+        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, draws: Draws
+    ) -> tuple[Tensor, Tensor]:
+        far = self.compare(candidates, references, ids)
+        return far, far.new_zeros(())
+
+    def compare(self, queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:
+        """d_c (B,) of features (B, n) by features (D, n)."""
+        return matched_l1(queries, references, matched_size(self.layout), ids)
+
+    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+        numbers = torch.arange(held.extent.size, device=held.data.rows.device)
+        return Scores(distances_to_newest(held, self.compare, numbers, exclude_self=exclude_self))
+
+    def similarity(self, held: Held) -> tuple[float, float]:
+        """𝔻_k over a sample of B_k."""
+        return sampled_similarity(held, self.compare, self.settings)
+
+
+def matched_l1(queries: Tensor, references: Tensor, matched: int, ids: Ids | None = None) -> Tensor:
+    """d_c: l1 distance (B,) of s' - s to that of the best match by (s, a) (Eq. 1).
+
+    References in random order make ties fall at random.
+
+    Args:
+        queries: standardised [(s, a), s' - s] (B, n) of the minibatch B.
+        references: the same (D, n) of D.
+        matched: how many leading components are (s, a).
+        ids: if a transition must not match itself.
+    """
+    matches = gaps(queries[:, :matched], references[:, :matched], ids).argmin(1)
+    return (queries[:, matched:] - references[:, matched:][matches]).abs().sum(1)
+
+
+class Changes:
+    """Features [(s, a), s' - s] of packed rows, each component standardised: see `Features`.
+
+    Attributes:
+        matched: how many leading features are (s, a), by which transitions are matched.
+    """
+
+    name = "change"
+    updates = 0  # nothing is learned
+
+    def __init__(self, layout: RowLayout) -> None:
+        self._layout = layout
+        self.matched = matched_size(layout)
+        self.size = self.matched + layout.observation_size
+        self.state: State | None = None
+
+    def fit(self, rows: Tensor, folds: Tensor, random: Random, report: Report) -> None:
+        """Take mean and standard deviation from packed rows (N, width) of B_0."""
+        mean, std = moments(self._features(rows).T)
+        self.state = {"mean": mean, "std": std}
+
+    def embed(self, rows: Tensor, folds: Tensor, out: Tensor) -> None:
+        """Write the features of packed rows (N, width) to `out` (N, size); nothing before `fit`."""
+        if self.state is None:
+            return
+        mean, std = self.state["mean"], self.state["std"]
+        for part, written in zip(torch.split(rows, CHUNK), torch.split(out, CHUNK), strict=True):
+            written[:] = (self._features(part) - mean) / std
+
+    def _features(self, rows: Tensor) -> Tensor:
+        batch = unpack(rows, self._layout)
+        action = action_features(batch.action, self._layout.choices)
+        change = batch.next_observation - batch.observation
+        return torch.cat((batch.observation, action, change), dim=1)
+
+
+def matched_size(layout: RowLayout) -> int:
+    """The number of features that stand for (s, a)."""
+    return layout.observation_size + (layout.choices or layout.action_size)

@@ -1,0 +1,171 @@
+"""A forward model of B_0, and regressions as pure functions: what d_f and `typical` stand on.
+
+f_B(s, a_i) -> s' - s is fitted once, by halves: the episodes of B_0 are two folds, each has a
+network, and a transition is always judged by the network that has not seen its episode.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import mse_loss
+
+from otc_dist.algorithms.draws import Draws, to_tensors
+from otc_dist.algorithms.interface import State
+from otc_dist.algorithms.networks import Mlp, descend, fresh_state
+from otc_dist.description import DynamicsSection
+from otc_dist.engine import Engine
+from otc_dist.otc.distances.change import Changes
+from otc_dist.otc.distances.interface import Report
+from otc_dist.otc.samplers import Random
+from otc_dist.training import BLOCK, OnBlock, train
+from otc_dist.transitions import RowLayout
+
+FOLDS = 2
+CHUNK = 8192  # rows judged at once
+
+
+@dataclass(frozen=True)
+class Regression:
+    """A network from standardised (s, a_i) to a change of the state, by least squares."""
+
+    inputs: int
+    outputs: int
+    hidden: tuple[int, ...]
+    learning_rate: float
+
+    @cached_property
+    def network(self) -> Mlp:
+        return Mlp((self.inputs,), self.hidden, self.outputs)
+
+    def initial_state(self, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """A fresh network, its moments, and the count of updates."""
+        return fresh_state({"network": self.network.initialise(random)})
+
+    def update(self, state: State, inputs: Tensor, targets: Tensor) -> tuple[State, Tensor]:
+        """One Adam step on the mean squared error of a batch (B, inputs), (B, outputs)."""
+        counted = dict(state, updates=state["updates"] + 1)
+        new, loss = descend(
+            counted,
+            "network",
+            self.learning_rate,
+            lambda network: mse_loss(self.network.apply(network, inputs), targets),
+        )
+        return new, loss.view(1)
+
+    def predict(self, network: Tensor, inputs: Tensor, chosen: Tensor) -> Tensor:
+        """(n, outputs) of the rows `chosen` (n,) of inputs (N, inputs), part by part."""
+        found = inputs.new_empty(len(chosen), self.outputs)
+        with torch.no_grad():
+            for part, out in zip(
+                torch.split(chosen, CHUNK), torch.split(found, CHUNK), strict=True
+            ):
+                out[:] = self.network.apply(network, inputs[part])
+        return found
+
+
+@dataclass(frozen=True)
+class Descent:
+    """A regression trained on minibatches of examples."""
+
+    regression: Regression
+    engine: Engine
+    batch_size: int
+
+    def run(
+        self,
+        inputs: Tensor,
+        targets: Tensor,
+        random: Random,
+        updates: int,
+        block: int,
+        on_block: OnBlock,
+    ) -> None:
+        """From a fresh network.
+
+        Args:
+            inputs: (N, inputs).
+            targets: (N, outputs).
+            block: updates between two calls of `on_block`.
+        """
+        step, device = self.engine.fuse(self.regression.update), self.engine.device
+
+        def update(state: State, draws: Draws) -> tuple[State, Tensor]:
+            batch = draws["batch"]
+            return step(state, inputs.index_select(0, batch), targets.index_select(0, batch))
+
+        def draw_block(number: int, count: int) -> Mapping[str, NDArray[np.generic]]:
+            shape = (count, self.batch_size)
+            return {"batch": random("minibatches", number).integers(0, len(inputs), shape)}
+
+        state = to_tensors(self.regression.initial_state(random("initial")), device)
+        record, span = self.engine.record(update), (0, updates)
+        train(state, record, draw_block, device, span, block, on_block)
+
+
+class Forward:
+    """Standardised (s, a_i), then the residual s' - s - f_B(s, a_i): see `Features`."""
+
+    name = "dynamics"
+
+    def __init__(self, section: DynamicsSection, layout: RowLayout, engine: Engine) -> None:
+        self._section, self._engine = section, engine
+        self._changes = Changes(layout)
+        self.size, self.updates = self._changes.size, FOLDS * section.updates
+        self._regression = Regression(
+            self._changes.matched, layout.observation_size, section.hidden, section.learning_rate
+        )
+        self._state: State | None = None
+
+    @property
+    def state(self) -> State | None:
+        """`network_0` and `network_1` (n,), each fitted without the episodes of that fold; `mean`
+        and `std`, by which transitions are standardised.
+        """
+        return self._state
+
+    @state.setter
+    def state(self, state: State | None) -> None:
+        self._state = state
+        if state is not None:
+            self._changes.state = {name: state[name] for name in ("mean", "std")}
+
+    def fit(self, rows: Tensor, folds: Tensor, random: Random, report: Report) -> None:
+        """Fit both networks to B_0 and freeze."""
+        self._changes.fit(rows, folds, random, report)
+        features = torch.empty(len(rows), self.size, device=rows.device)
+        self._changes.embed(rows, folds, features)
+        fitted, updates = dict(self._changes.state or {}), self._section.updates
+        for fold in range(FOLDS):
+            (others,) = (folds != fold).nonzero(as_tuple=True)
+
+            def on_block(state: State, done: int, metrics: list[float], fold: int = fold) -> None:
+                fitted[f"network_{fold}"] = state["network"]
+                report(fold * updates + done, {"dynamics_loss": metrics[0]})
+
+            examples = apart(features[others], self._changes.matched)
+            descent = Descent(self._regression, self._engine, self._section.batch_size)
+            descent.run(
+                *examples, lambda *key, fold=fold: random(fold, *key), updates, BLOCK, on_block
+            )
+        self.state = fitted
+
+    def embed(self, rows: Tensor, folds: Tensor, out: Tensor) -> None:
+        """Write the features of packed rows (N, width) to `out` (N, size); nothing before `fit`."""
+        if self._state is None:
+            return
+        self._changes.embed(rows, folds, out)
+        inputs, residual = apart(out, self._changes.matched)
+        for fold in range(FOLDS):
+            (mine,) = (folds == fold).nonzero(as_tuple=True)
+            expected = self._regression.predict(self._state[f"network_{fold}"], inputs, mine)
+            residual[mine] -= expected
+
+
+def apart(features: Tensor, matched: int) -> tuple[Tensor, Tensor]:
+    """Views of `Forward`'s features (N, size): (s, a_i) (N, matched), and the rest (N, s)."""
+    return features[:, :matched], features[:, matched:]

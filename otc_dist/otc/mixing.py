@@ -1,0 +1,70 @@
+"""Samplers made of others: online data beside what is chosen, and a plain sample to imitate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.interface import State
+from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, Sampler, Selection
+
+
+@dataclass(frozen=True)
+class Around:
+    """Another sampler, as it is. Those below change what they are named for."""
+
+    inner: Sampler
+
+    @property
+    def computes(self) -> bool:
+        return self.inner.computes
+
+    def noise(self) -> dict[str, Draw]:
+        return self.inner.noise()
+
+    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        return self.inner.draw(random, updates, extent)
+
+    def begin(self, held: Held) -> Begun:
+        return self.inner.begin(held)
+
+    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
+        return self.inner.gather(state, data, draws)
+
+    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+        return self.inner.select(state, gathered, draws)
+
+
+@dataclass(frozen=True)
+class WithOnline(Around):
+    """`count` transitions of D_1 .. D_k in every batch, beside those of the inner sampler: for
+    half of a batch, RLPD's symmetric sampling (Ball et al., ICML 2023).
+    """
+
+    count: int
+
+    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        chosen = self.inner.draw(random, updates, extent)
+        online = random.integers(extent.offline, extent.size, (updates, self.count))
+        return {**chosen, "online": online}
+
+    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+        chosen, online = self.inner.select(state, gathered, draws), draws["online"]
+        return chosen._replace(
+            rows=torch.cat((chosen.rows, online)), imitated=torch.cat((chosen.imitated, online))
+        )
+
+
+@dataclass(frozen=True)
+class ImitatingAll(Around):
+    """What imitates the data is given a uniform sample of B_k instead of what is chosen."""
+
+    batch_size: int
+
+    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        chosen = self.inner.draw(random, updates, extent)
+        return {**chosen, "plain": random.integers(0, extent.size, (updates, self.batch_size))}
+
+    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+        return self.inner.select(state, gathered, draws)._replace(imitated=draws["plain"])
