@@ -47,7 +47,6 @@ class Experience:
             rows,
             torch.zeros(len(rows), width, device=device),
             torch.zeros(len(rows) if folded else 0, dtype=torch.int64, device=device),
-            torch.zeros(0, device=device),
         )
         self._append(offline, offline=True)
 

@@ -315,8 +315,10 @@ class Learner:
         for features in self._fits.values():
             if fitted := states.get(features.name):
                 features.state = to_tensors(fitted, self._engine.device)
-            else:
+            elif features.updates:
                 self.tuned = -1
+            else:
+                self._fit(features, lambda progress: None)
         self._experience.embed()
         if found.tuned > 0:
             self._alpha = Alpha(found.alpha, found.similarity)

@@ -15,6 +15,7 @@ from torch.utils._pytree import tree_leaves, tree_map_only
 
 from otc_dist.algorithms.draws import to_tensors
 from otc_dist.learner import Learner
+from otc_dist.otc.distances.embedding import Embedder
 from otc_dist.trainer import Phase
 
 from .algorithms import test_conformance as conformance
@@ -66,7 +67,7 @@ def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
     draw_block = trainer._draws(noise, experience.extent, Phase("tuning", 1, 0, 1.0), "")
     arrays = to_tensors(draw_block(0, 1), CPU)
     draws = on_gpu({key: array[0] for key, array in arrays.items()})
-    state, update = on_gpu(learner._state), trainer._update(on_gpu(experience.data))
+    state, update = on_gpu(learner._state), trainer._update(on_gpu(learner._begin(1).data))
     new = record(lambda: update(state, draws))
     # The next replay reads what this one has written.
     assert {key: x.shape for key, x in new.items()} == {key: x.shape for key, x in state.items()}
@@ -75,9 +76,10 @@ def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
 
 def test_an_update_of_the_embedding_stays_on_the_gpu() -> None:
     learner, trial = tuned("bcq"), conformance.Trial("bcq")
-    assert learner._embedder and learner._embedder.state
-    embedding = learner._embedder._embedding
-    state, batch = on_gpu(learner._embedder.state), on_gpu(trial.batch)
+    embedder = learner._features
+    assert isinstance(embedder, Embedder) and embedder.state
+    embedding = embedder._embedding
+    state, batch = on_gpu(embedder.state), on_gpu(trial.batch)
     draws = on_gpu(trial.draws(embedding.noise(conformance.BATCH)))
     record(lambda: embedding.update(state, batch, draws))
 

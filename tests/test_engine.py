@@ -91,12 +91,12 @@ def test_compiled_code_is_kept_in_the_cache(monkeypatch: pytest.MonkeyPatch) -> 
 def updates(learner: Learner, count: int) -> list[np.ndarray]:
     """The state, as one vector, after each of `count` tuning updates by the learner's own path."""
     trainer, extent = learner._online, learner._experience.extent
-    update = trainer._update(learner._experience.data)
+    update = trainer._update(learner._begin(1).data)
     noise = learner._algorithm.noise(learner.description.algorithm.batch_size)
     draw_block = trainer._draws(noise, extent, Phase("tuning", 1, 0, 1.0), "")
     draws = to_tensors(draw_block(0, count), CPU)
-    begun = learner._sampler.begin(learner._state, extent, np.random.default_rng(0))
-    states, state = [], {**learner._state, **begun}
+    begun = learner._begin(1)
+    states, state = [], {**learner._state, **begun.changed}
     for index in range(count):
         state, _ = update(state, {name: array[index] for name, array in draws.items()})
         parts = [state[name].numpy() for name in ("vae", "critic", "critic_target", "actor")]
@@ -114,8 +114,8 @@ def test_compiled_equals_eager(arm: str) -> None:
         learner = brain(*ARMS[arm], *size, "offline.updates=0")
         learner.pretrain(silent, unsaved)  # eagerly: the same embedding
         compiled = brain(*ARMS[arm], *size, "offline.updates=0", f"engine.name={name}")
-        if learner._embedder and compiled._embedder:
-            compiled._embedder.state = learner._embedder.state
+        if learner._features and compiled._features:
+            compiled._features.state = learner._features.state
         compiled.pretrain(silent, unsaved)
         compiled._experience.merge(online(1))
         compiled._experience.embed()

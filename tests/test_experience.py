@@ -7,7 +7,8 @@ from torch import Tensor
 
 from otc_dist.action_scale import ActionScale
 from otc_dist.experience import Experience
-from otc_dist.otc.samplers import Extent
+from otc_dist.otc.distances.interface import Report
+from otc_dist.otc.samplers import Extent, Random
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import RowLayout
 from tests.brains import transitions
@@ -19,12 +20,15 @@ LAYOUT = RowLayout(3, 2)
 class Sums:
     """The sum of each row as its only feature, times a factor that is fit."""
 
-    size = 1
+    name, size, updates, state = "sums", 1, 0, None
 
     def __init__(self) -> None:
         self.factor = 0.0
 
-    def embed(self, rows: Tensor, out: Tensor) -> None:
+    def fit(self, rows: Tensor, folds: Tensor, random: Random, report: Report) -> None:
+        self.factor = 1.0
+
+    def embed(self, rows: Tensor, folds: Tensor, out: Tensor) -> None:
         out[:] = self.factor * rows.sum(1, keepdim=True)
 
 
@@ -47,18 +51,18 @@ def test_deployments_follow_the_offline_data_with_actions_scaled_to_one() -> Non
     np.testing.assert_array_equal(rows[:, LAYOUT.observation], newest.observations)
     scaled = newest.actions / (2, 0.5) - (0, 1)
     np.testing.assert_allclose(rows[:, LAYOUT.action], scaled, atol=1e-6)
-    assert own.data.embeddings.shape == (32, 0)
+    assert own.data.features.shape == (32, 0)
 
 
 def test_every_transition_has_its_features() -> None:
     """Those of a deployment as it comes, and all anew when the features have been fit."""
     features = Sums()
     own = experience(features)
-    assert not own.data.embeddings.any()
+    assert not own.data.features.any()
     features.factor = 1.0
     own.embed()
     own.merge(transitions(1, 4, SPEC))
-    assert torch.equal(own.data.embeddings[:24], own.data.rows[:24].sum(1, keepdim=True))
+    assert torch.equal(own.data.features[:24], own.data.rows[:24].sum(1, keepdim=True))
 
 
 def test_a_step_that_did_not_happen_is_not_kept() -> None:

@@ -101,7 +101,7 @@ def _balanced_priorities(
     described = description.with_assignments("sampling.name=balanced")
     sampler = create_sampler(specimen.setting._replace(description=described), len(rows))
     extent = Extent(offline, offline, len(rows))
-    data = Data(rows, rows[:, :0], rows[:0, 0], rows[:0, 0])
+    data = Data(rows, rows[:, :0])
 
     def random(*key: int | str) -> np.random.Generator:
         return stream(description.seed, "mechanism", "balanced", agent, *key)

@@ -59,7 +59,7 @@ class Specimen:
 
     def data(self, rows: Tensor, folds: Tensor) -> dict[str, Data]:
         """Distance -> packed rows (N, width) with what it keeps of them."""
-        held = {name: Data(rows, rows[:, :0], folds, rows[:0, 0]) for name in DISTANCES}
+        held = {name: Data(rows, rows[:, :0], folds) for name in DISTANCES}
         for name, features in self._features.items():
             out = torch.empty(len(rows), features.size)
             features.embed(rows, folds, out)

@@ -37,8 +37,9 @@ class Data(NamedTuple):
 
     rows: Tensor  # (capacity, width)
     features: Tensor  # (capacity, n); n = 0 where no distance keeps anything
-    folds: Tensor  # (capacity,) 0 or 1: half of the episodes each
-    scores: Tensor  # (n,) of this deployment; n = 0 where none are computed beforehand
+    # (capacity,) 0 or 1, half of the episodes each; empty where nothing is fitted by halves
+    folds: Tensor = torch.zeros(0, dtype=torch.int64)
+    scores: Tensor = torch.zeros(0)  # (n,) of this deployment; empty where they change with updates
 
 
 class Held(NamedTuple):

@@ -14,7 +14,9 @@ from torch import Tensor
 from otc_dist.algorithms.draws import Draw, Draws, draw
 from otc_dist.algorithms.interface import State
 from otc_dist.description import SamplingSection
-from otc_dist.otc.samplers import Data, Extent, Otc
+from otc_dist.otc.acceptance.rank import RankMatched
+from otc_dist.otc.distances.value import ValueDistance
+from otc_dist.otc.samplers import Data, Extent
 from otc_dist.transitions import RowLayout
 
 Float = NDArray[np.float64]
@@ -131,7 +133,8 @@ def sampled_dynamics(sets: Sets, alpha: float, *, replace: bool, minibatches: in
     sampler with d_q, at Table 3's sizes.
     """
     settings = SamplingSection(distance="value", normaliser="shared", with_replacement=replace)
-    sampler = Otc(TabularCritic(), LAYOUT, settings, batch_size=128)
+    distance = ValueDistance(TabularCritic(), LAYOUT, settings)
+    sampler = RankMatched(settings, 128, distance)
     rows = torch.zeros(len(sets.rows), LAYOUT.width)
     rows[:, 0], rows[:, 1], rows[:, 3] = torch.from_numpy(sets.rows).float().T
     data = Data(rows, rows[:, :0])

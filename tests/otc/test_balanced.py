@@ -18,6 +18,7 @@ from otc_dist.transitions import RowLayout
 
 from .. import references
 from ..brains import ARMS, SPEC, online, pretrained, silent, transitions
+from .held import held_by
 
 S, A, BATCH, CAPACITY = 5, 2, 16, 450
 LAYOUT = RowLayout(S, A)
@@ -48,7 +49,8 @@ def held(seed: int = 0) -> Data:
 
 def begun(sampler: Balanced, extent: Extent = FIRST, seed: int = 0) -> State:
     """The state at the first deployment, in float64."""
-    found = sampler.begin({"other": torch.zeros(3)}, extent, np.random.default_rng(seed))
+    ready = held_by({"other": torch.zeros(3)}, held(), extent, np.random.default_rng(seed))
+    found = dict(sampler.begin(ready).changed)
     return {name: tensor.double() for name, tensor in found.items()}
 
 
@@ -116,7 +118,7 @@ def test_weights_draws_and_priorities_equal_the_plain_version_in_float64() -> No
     for update in range(130):
         extent = FIRST if update < 70 else SECOND
         if update == 70:  # the second deployment
-            state = state | sampler.begin(state, SECOND, random)
+            state = {**state, **sampler.begin(held_by(state, held(), SECOND, random)).changed}
             plain.deploy(SECOND)
         draws = draws_of(sampler, random, extent)
         with torch.no_grad():
@@ -174,7 +176,7 @@ def test_a_later_deployment_gets_the_same_share() -> None:
     for _ in range(40):
         state, _ = one_update(sampler, state, data, random, FIRST)
     before = state["sampler_priorities"].clone()
-    state = state | sampler.begin(state, SECOND, random)
+    state = {**state, **sampler.begin(held_by(state, held(), SECOND, random)).changed}
     rows = sampler.gather(state, data, draws_of(sampler, random, SECOND))["numbers"]
     assert abs(int((rows >= SECOND.newest).sum()) - 32) <= 1
     kept = state["sampler_priorities"].view(-1)[: SECOND.newest]
@@ -220,7 +222,7 @@ def test_choosing_leaves_its_arguments_alone() -> None:
     state = begun(sampler)
     before = {name: tensor.clone() for name, tensor in state.items()}
     after, _ = one_update(sampler, state, held(), random, FIRST)
-    sampler.begin(state, SECOND, random)
+    sampler.begin(held_by(state, held(), SECOND, random))
     for name, tensor in before.items():
         assert torch.equal(state[name], tensor), name
         assert not torch.equal(after[name], tensor), name
@@ -282,7 +284,7 @@ def test_compiled_equals_eager() -> None:
     ends = []
     for name in ("eager", "compiled"):
         select, random = Engine(name).fuse(sampler.select), np.random.default_rng(0)
-        state, chosen = sampler.begin({"other": rows}, FIRST, random), []
+        state, chosen = {**sampler.begin(held_by({"other": rows}, data, FIRST, random)).changed}, []
         for _ in range(30):
             draws = draws_of(sampler, random, FIRST)
             selection = select(state, sampler.gather(state, data, draws), draws)

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from otc_dist.description import NormaliserName
-from otc_dist.otc.distances import GUARD, match_values, nearest_l1, next_state_distance
+from otc_dist.otc.distances.embedding import nearest_l1
+from otc_dist.otc.distances.value import GUARD, match_values, next_state_distance
 
 from .. import references
 

@@ -14,11 +14,15 @@ from otc_dist.algorithms.interface import State, unpack
 from otc_dist.description import SamplingSection
 from otc_dist.description.algorithms import BcqSection
 from otc_dist.otc import create_sampler
-from otc_dist.otc.samplers import Data, Extent, Otc
-from otc_dist.otc.similarity import sampled_similarity, value_similarity
+from otc_dist.otc.acceptance.rank import RankMatched
+from otc_dist.otc.distances import create_distance
+from otc_dist.otc.distances.interface import Matching, Setting
+from otc_dist.otc.samplers import Data, Extent, Held
 from otc_dist.transitions import RowLayout
 
 from .. import references
+from ..brains import describe
+from .held import held_by
 
 S, A, BATCH = 5, 2, 16
 LAYOUT = RowLayout(S, A)
@@ -44,7 +48,24 @@ def held(seed: int = 0) -> Data:
     embeddings = random.standard_normal((450, S + A + S))  # as d_c's; any size is right for d_e
     for array in (rows, embeddings):
         array[EXTENT.size :] = np.nan
-    return Data(torch.from_numpy(rows), torch.from_numpy(embeddings))
+    folds = torch.arange(450) % 2
+    return Data(torch.from_numpy(rows), torch.from_numpy(embeddings), folds)
+
+
+def setting(section: SamplingSection) -> Setting:
+    algorithm = {"hidden": [16, 16], "batch_size": BATCH}
+    changes = {"sampling": section, "algorithm": BcqSection(**algorithm)}
+    return Setting(describe().model_copy(update=changes), LAYOUT, ALGORITHM)
+
+
+def matched(section: SamplingSection) -> RankMatched:
+    distance = create_distance(section.distance, setting(section))
+    assert isinstance(distance, Matching)
+    return RankMatched(section, BATCH, distance)
+
+
+def prepared(data: Data, extent: Extent = EXTENT, weights: State | None = None) -> Held:
+    return held_by(weights or state(), data, extent, np.random.default_rng(0))
 
 
 def state(seed: int = 0) -> State:
@@ -70,11 +91,11 @@ def plain_distances(
     bcq.load(state)
     forbidden = candidates[:, None] == online[None, :] if section.exclude_self else None
     if section.distance == "embedding":
-        mu = data.embeddings.numpy()
+        mu = data.features.numpy()
         gap = np.abs(mu[candidates][:, None] - mu[online][None]).sum(-1)
         return np.where(forbidden, np.inf, gap).min(1) if forbidden is not None else gap.min(1)
     if section.distance == "change":
-        features, distances = data.embeddings.numpy(), []
+        features, distances = data.features.numpy(), []
         for row in candidates:
             allowed = [i for i in online if not (section.exclude_self and i == row)]
             gaps = [np.abs(features[row] - features[i])[: S + A].sum() for i in allowed]
@@ -119,7 +140,7 @@ def test_otc_chooses_what_plain_loops_choose(
         with_replacement=replace,
         exclude_self=exclude,
     )
-    sampler, data, weights = Otc(ALGORITHM, LAYOUT, section, BATCH), held(), state()
+    sampler, data, weights = matched(section), held(), state()
     for seed, alpha in enumerate([0.0, 1.0, 2.5]):
         draws = one_update(sampler, seed, alpha)
         with torch.no_grad():
@@ -137,7 +158,7 @@ def test_otc_chooses_what_plain_loops_choose(
 
 @pytest.mark.parametrize("distance", ["embedding", "value", "change"])
 def test_minibatches_come_from_where_they_should(distance: str) -> None:
-    sampler = Otc(ALGORITHM, LAYOUT, settings(distance=distance), BATCH)
+    sampler = matched(settings(distance=distance))
     drawn = sampler.draw(np.random.default_rng(0), 500, EXTENT)
     assert drawn["candidates"].shape == (500, 64) and drawn["references"].shape == (500, 30)
     counts = np.bincount(drawn["candidates"].ravel(), minlength=400)  # B_k: all of it, uniformly
@@ -150,13 +171,13 @@ def test_minibatches_come_from_where_they_should(distance: str) -> None:
 
 
 def test_a_small_online_set_is_taken_whole() -> None:
-    sampler = Otc(ALGORITHM, LAYOUT, settings(references=2000), BATCH)
+    sampler = matched(settings(references=2000))
     drawn = sampler.draw(np.random.default_rng(0), 3, EXTENT)["references"]
     assert [sorted(row) for row in drawn.tolist()] == [list(range(360, 400))] * 3
 
 
 def test_exact_matching_looks_at_all_of_the_newest_data() -> None:
-    sampler = Otc(ALGORITHM, LAYOUT, settings(matching="exact", references=3), BATCH)
+    sampler = matched(settings(distance="value", matching="exact", references=3))
     drawn = sampler.draw(np.random.default_rng(0), 3, EXTENT)["references"]
     assert [sorted(row) for row in drawn.tolist()] == [list(range(360, 400))] * 3
     assert drawn[0].tolist() != drawn[1].tolist()  # in random order, for ties
@@ -165,7 +186,7 @@ def test_exact_matching_looks_at_all_of_the_newest_data() -> None:
 def test_terminal_next_states_have_value_zero() -> None:
     data = held()
     data.rows[:, LAYOUT.terminated] = 1
-    sampler = Otc(ALGORITHM, LAYOUT, settings(distance="value"), BATCH)
+    sampler = matched(settings(distance="value"))
     draws = one_update(sampler, 0, 1.0)
     with torch.no_grad():
         distances, guarded = sampler.distances(state(), sampler.gather({}, data, draws), draws)
@@ -177,7 +198,7 @@ def test_terminal_next_states_have_value_zero() -> None:
 def test_online_transitions_match_themselves_unless_excluded(distance: str) -> None:
     for exclude, expected in ((False, True), (True, False)):
         section = settings(distance=distance, matching="exact", exclude_self=exclude)
-        sampler, data = Otc(ALGORITHM, LAYOUT, section, BATCH), held()
+        sampler, data = matched(section), held()
         draws = one_update(sampler, 0, 1.0)
         own = draws["candidates"] >= EXTENT.newest
         with torch.no_grad():
@@ -188,7 +209,7 @@ def test_online_transitions_match_themselves_unless_excluded(distance: str) -> N
 
 def test_uniform_covers_all_and_online_only_covers_the_online_data() -> None:
     for name, first in (("uniform", 0), ("online-only", 300)):
-        sampler = create_sampler(settings(name=name), ALGORITHM, LAYOUT, BATCH, 450)
+        sampler = create_sampler(setting(settings(name=name)), 450)
         draws = sampler.draw(np.random.default_rng(0), 2000, EXTENT)
         assert draws["batch"].shape == (2000, BATCH)
         counts = np.bincount(draws["batch"].ravel(), minlength=400)
@@ -207,7 +228,7 @@ def test_expected_similarity_is_the_mean_distance(exclude: bool, distance: str) 
     section = settings(similarity_sample=400, exclude_self=exclude, distance=distance)
     numbers, online = np.arange(400), np.arange(360, 400)
     expected = plain_distances(section, state(), data, numbers, online, {}).mean()
-    found = sampled_similarity(data, everything, LAYOUT, section, np.random.default_rng(0))
+    found = matched(section).begin(prepared(data, everything)).measured["similarity"]
     assert found == pytest.approx(expected, rel=1e-12)
 
 
@@ -222,7 +243,8 @@ def test_sample_of_the_similarity_keeps_its_size_as_data_grow() -> None:
     for size in (360, 400):
         extent = EXTENT._replace(size=size, newest=size - 40)
         random = Counting(np.random.PCG64(0))
-        sampled_similarity(held(), extent, LAYOUT, settings(similarity_sample=350), random)
+        ready = prepared(held(), extent)._replace(random=lambda *key, random=random: random)
+        matched(settings(similarity_sample=350)).begin(ready)
     assert sizes == [300, 300]
 
 
@@ -231,17 +253,16 @@ def test_expected_similarity_by_value_is_exact(
     normaliser: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Over all of B_k and D_k, in chunks; the perturbed mean action makes V free of noise here."""
-    monkeypatch.setattr("otc_dist.otc.similarity.CHUNK", 64)
-    data, weights = Data(*(part.float() for part in held())), state()
+    monkeypatch.setattr("otc_dist.otc.distances.value.CHUNK", 64)
+    data, weights = held(), state()
+    data = data._replace(rows=data.rows.float())
     weights["vae"] = weights["vae"] * 0  # every decoded action is 0
     single = {name: tensor.float() for name, tensor in weights.items()}
     section = settings(distance="value", normaliser=normaliser, matching="exact")
     numbers, online = np.arange(400), np.arange(360, 400)
     noise = {"value": torch.zeros(400, 1, 2 * A).double()}
-    exact = Data(*(part.double() for part in data))
+    exact = data._replace(rows=data.rows.double())
     expected = plain_distances(section, weights, exact, numbers, online, noise).mean()
     with torch.no_grad():
-        found, _ = value_similarity(
-            ALGORITHM, single, data, EXTENT, LAYOUT, section, np.random.default_rng(0)
-        )
+        found = matched(section).begin(prepared(data, weights=single)).measured["similarity"]
     assert found == pytest.approx(expected, rel=1e-3)

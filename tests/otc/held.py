@@ -1,0 +1,18 @@
+"""What a sampler is given before the updates, for the tests that begin one by hand."""
+
+from typing import Any
+
+import numpy as np
+
+from otc_dist.algorithms.interface import State
+from otc_dist.engine import Engine
+from otc_dist.otc.samplers import Data, Extent, Held
+
+
+def held_by(state: State, data: Data, extent: Extent, random: np.random.Generator) -> Held:
+    """All random streams are `random`."""
+
+    def stream(*key: Any) -> np.random.Generator:
+        return random
+
+    return Held(state, data, extent, Engine("eager"), stream)
