@@ -133,12 +133,17 @@ def _alpha(runs: Mapping[str, Sequence[Run]], summary: Summary) -> str:
     """Alpha of every agent, mean over seeds, for the arms that have one."""
     charts = []
     for name, found in runs.items():
-        mine = [run for run in found if run.seed in summary.seeds and run.alpha]
+        mine = [
+            run
+            for run in found
+            if run.seed in summary.seeds and all("alpha" in of for of in run.told[0].values())
+        ]
         if not mine:
             continue
         series = []
-        for agent in mine[0].alpha[0]:
-            values = np.mean([[alpha[agent] for alpha in run.alpha] for run in mine], axis=0)
+        for agent in mine[0].told[0]:
+            alphas = [[of[agent]["alpha"] for of in run.told] for run in mine]
+            values = np.asarray(alphas, np.float64).mean(axis=0)
             series.append(Series(agent, list(range(1, len(values) + 1)), values.tolist()))
         charts.append(
             line_chart(series, title=f"alpha, {name}", x_label="deployment", y_label="alpha")
