@@ -13,6 +13,7 @@ from otc_dist.measured import Measured, best
 from otc_dist.run_folder import RunFolder
 
 FORMAT = 2
+OFFLINE = "pi_0.json"  # the one file of a seed's folder that is no run's
 
 Told = dict[str, float | None]  # name -> value; None where it is not a number
 
@@ -130,7 +131,7 @@ class ComparisonFolder:
         return RunFolder(self.root / "seeds" / f"seed_{seed:02d}")
 
     def offline(self, seed: int) -> Path:
-        return self.seed(seed).root / "pi_0.json"
+        return self.seed(seed).root / OFFLINE
 
     def run(self, seed: int, arm: str) -> Path:
         return self.seed(seed).root / f"{arm}.json"
