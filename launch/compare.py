@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from otc_dist.comparison import arms as arms_of
-from otc_dist.comparison import report, tables
+from otc_dist.comparison import collected, report, tables
 from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.comparison.statistics import summarise
@@ -19,6 +19,7 @@ from . import comparison_jobs, descriptions
 from .jobs import FailedError, Job, StoppedError, cores, run_jobs
 from .resolve import resolve
 
+SEEDS = "0..9"
 EPISODES = 30  # greedy episodes that a comparison needs at least
 
 _EXPLANATION = """\
@@ -36,7 +37,11 @@ def main(argv: list[str]) -> int:
         UserError: anything the user can mend: one line, status 2.
     """
     arguments = _parser().parse_args(argv)
-    seeds = arms_of.parse_seeds(arguments.seeds)
+    if arguments.tables is not None:
+        return _show(arguments)
+    if arguments.description is None:
+        raise UserError("compare which description? Or --tables FOLDER, of one that was compared")
+    seeds = arms_of.parse_seeds(SEEDS if arguments.seeds is None else arguments.seeds)
     quick: bool = arguments.quick
     loaded = descriptions.load(arguments.description, arguments.set, None, quick)
     names = arms_of.usual(loaded) if arguments.arms is None else arguments.arms
@@ -46,7 +51,20 @@ def main(argv: list[str]) -> int:
     name = f"compare-{base.name}{'-quick' if quick else ''}"
     folder = ComparisonFolder((arguments.out or Path("runs") / name).resolve())
     with comparison_jobs.opened(folder, base):
-        return _compare(folder, base, arms, seeds, quick)
+        return _compare(folder, base, arms, seeds, quick, arguments.results)
+
+
+def _show(arguments: argparse.Namespace) -> int:
+    """Print the tables of a folder of raw scores."""
+    beside = ("description", "arms", "arm", "seeds", "set", "out", "quick", "results")
+    given = [name for name in beside if getattr(arguments, name)]
+    if given:
+        name = given[0] if given[0] == "description" else f"--{given[0]}"
+        raise UserError(f"--tables shows what is in its folder: leave out {name}")
+    found = collected.collect(arguments.tables)
+    print(f"{found.name}, {found.dataset}")
+    print("\n".join(tables.text(summarise(found.runs, found.normalise))))
+    return 0
 
 
 def _check(base: Description, arms: Arms, quick: bool) -> None:
@@ -61,8 +79,15 @@ def _check(base: Description, arms: Arms, quick: bool) -> None:
 
 
 def _compare(
-    folder: ComparisonFolder, base: Description, arms: Arms, seeds: Sequence[int], quick: bool
+    folder: ComparisonFolder,
+    base: Description,
+    arms: Arms,
+    seeds: Sequence[int],
+    quick: bool,
+    results: Path | None,
 ) -> int:
+    if results is not None:  # a mistake shows before anything runs
+        collected.keep(folder, (), (), results)
     jobs = comparison_jobs.comparison(folder, base, arms, seeds)
     left = sum(not job.done for job in jobs)
     print(f"{folder.root}: {len(jobs)} jobs, {left} of them to do", flush=True)
@@ -73,7 +98,7 @@ def _compare(
         nonlocal complete
         if len(_complete(folder, arms, seeds)) > complete:
             complete += 1
-            _conclude(folder, base, arms, seeds, quick)
+            _conclude(folder, base, arms, seeds, quick, results)
 
     status = 0
     try:
@@ -85,7 +110,7 @@ def _compare(
         print(f"stopped by {stopped}; the same command goes on")
         status = stopped.status
     if not left or status:  # else it was shown when the last job finished
-        _conclude(folder, base, arms, seeds, quick)
+        _conclude(folder, base, arms, seeds, quick, results)
     return status
 
 
@@ -95,13 +120,20 @@ def _complete(folder: ComparisonFolder, arms: Arms, seeds: Sequence[int]) -> lis
 
 
 def _conclude(
-    folder: ComparisonFolder, base: Description, arms: Arms, seeds: Sequence[int], quick: bool
+    folder: ComparisonFolder,
+    base: Description,
+    arms: Arms,
+    seeds: Sequence[int],
+    quick: bool,
+    results: Path | None,
 ) -> None:
-    """Print and write what the complete seeds show."""
+    """Print and write what the complete seeds show, and copy their raw scores to `results`."""
     complete = _complete(folder, arms, seeds)
     if not complete:
         print(f"no seed is complete for all of {', '.join(arms)} yet")
         return
+    if results is not None:
+        collected.keep(folder, arms, complete, results)
     runs = {arm: [Run.read(folder.run(seed, arm)) for seed in complete] for arm in arms}
     summary = summarise(runs, lambda value: registry.normalised_score(base.env.id, value))
     label = descriptions.QUICK_LABEL if quick else ""
@@ -120,7 +152,9 @@ def _parser() -> argparse.ArgumentParser:
         epilog=f"known arms: {', '.join(arms_of.KNOWN)}",
         allow_abbrev=False,
     )
-    parser.add_argument("description", help="a shipped description's name, or a TOML file")
+    parser.add_argument(
+        "description", nargs="?", help="a shipped description's name, or a TOML file"
+    )
     parser.add_argument(
         "--arms",
         metavar="NAME,NAME",
@@ -135,9 +169,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME=section.key=value,...",
         help="one more arm of your own, like mild=sampling.name=otc,sampling.alpha=0.5",
     )
-    parser.add_argument(
-        "--seeds", default="0..9", help="0..9 or 0,1,5 (default: %(default)s; ten for any claim)"
-    )
+    parser.add_argument("--seeds", help=f"0..9 or 0,1,5 (default: {SEEDS}; ten for any claim)")
     parser.add_argument(
         "--set",
         action="append",
@@ -146,5 +178,18 @@ def _parser() -> argparse.ArgumentParser:
         help="change one value for all arms",
     )
     parser.add_argument("--out", type=Path, help="folder (default: runs/compare-NAME)")
+    parser.add_argument(
+        "--results",
+        type=Path,
+        metavar="FOLDER",
+        help="copy the raw scores of every seed that is complete there, to be kept",
+    )
+    parser.add_argument(
+        "--tables",
+        type=Path,
+        metavar="FOLDER",
+        help="run nothing: print all tables of the raw scores in a comparison's folder, or in one"
+        " that --results made",
+    )
     parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
     return parser

@@ -10,6 +10,7 @@ Arms = dict[str, tuple[str, ...]]  # name -> `section.key=value` assignments
 
 REFERENCE = "uniform"  # every arm is compared with it
 NULL = "uniform-null"  # the reference with other minibatches: what chance alone does
+PERFECT = "perfect"  # rows as they would be with the others acting as now: the ceiling
 
 _RANK = ("sampling.name=otc", "sampling.acceptance=rank")
 _SHARE = ("sampling.name=otc", "sampling.acceptance=share", "sampling.share=0.1")

@@ -8,8 +8,10 @@ import numpy as np
 
 from otc_dist.comparison import tables
 from otc_dist.comparison.arms import REFERENCE, Arms
+from otc_dist.comparison.conclusion import ENOUGH
+from otc_dist.comparison.judgement import RECOMMENDED
 from otc_dist.comparison.scores import ComparisonFolder, Run, write_json
-from otc_dist.comparison.statistics import ENOUGH, Summary
+from otc_dist.comparison.statistics import Summary
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.report import html
@@ -58,20 +60,19 @@ def page(
             html.notice(f"Fewer than {ENOUGH} seeds.", "The intervals are too narrow; no claim.")
         )
     conclusion = f"<p>{escape(summary.conclusion)}</p>"
-    rows = list(tables.difference_rows(summary))
     parts = [
         *notices,
-        html.section("Result", conclusion, html.table(rows[0], rows[1:])),
+        html.section("Result", conclusion, *_judged(summary), html.note(tables.METHOD)),
         html.section("Returns", _curves(summary), html.note("Bands: ± one standard deviation.")),
         html.section(
             f"Paired differences from {REFERENCE}", _differences(summary), html.note(tables.METHOD)
         ),
         *(_table(summary, measure) for measure in tables.measures(summary)),
-        _alpha(runs, summary),
+        _alpha(runs),
         html.section("Arms", html.facts((name, ", ".join(a)) for name, a in arms.items())),
         html.section(
             "How it was made",
-            html.facts(_versions(runs)),
+            html.facts([*_versions(runs), ("processor", _processors(runs))]),
             html.details("description.toml", html.preformatted(base.to_toml())),
         ),
     ]
@@ -84,7 +85,7 @@ def _curves(summary: Summary) -> str:
         found = arm.measures["return"].deployments
         series.append(
             Series(
-                arm.name,
+                tables.label(arm),
                 list(range(len(found))),
                 [spread.mean for spread in found],
                 [spread.mean - spread.std for spread in found],
@@ -106,7 +107,7 @@ def _differences(summary: Summary) -> str:
         shift = 0.12 * (index - (len(arms) - 1) / 2)
         series.append(
             Series(
-                arm.name,
+                tables.label(arm),
                 [k + shift for k in range(1, len(found) + 1)],
                 [d.mean for d in found],
                 [d.low for d in found],
@@ -123,22 +124,38 @@ def _differences(summary: Summary) -> str:
     )
 
 
+def _judged(summary: Summary) -> list[str]:
+    """What the runs are judged by: the recommended policy's gain, and all paired differences."""
+    names = tables.judged(summary)
+    found = []
+    if RECOMMENDED in names:
+        gains = list(tables.gain_rows(summary))
+        found.append(html.table(gains[0], gains[1:]))
+    for name in names:
+        rows = list(tables.difference_rows(summary, name))
+        found += [html.note(tables.JUDGED_TITLES[name]), html.table(rows[0], rows[1:])]
+    if any(one.share is not None for arm in summary.arms for one in arm.judged.values()):
+        found.append(html.note(tables.SHARE))
+    return found
+
+
 def _table(summary: Summary, measure: str) -> str:
     rows = list(tables.measure_rows(summary, measure))
     title = tables.TITLES[measure]
     return html.section(title[0].upper() + title[1:], html.table(rows[0], rows[1:], sums=1))
 
 
-def _alpha(runs: Mapping[str, Sequence[Run]], summary: Summary) -> str:
+def _alpha(runs: Mapping[str, Sequence[Run]]) -> str:
     """Alpha of every agent, mean over seeds, for the arms that have one."""
     charts = []
     for name, found in runs.items():
-        mine = [run for run in found if run.seed in summary.seeds and run.alpha]
+        mine = [run for run in found if all("alpha" in of for of in run.told[0].values())]
         if not mine:
             continue
         series = []
-        for agent in mine[0].alpha[0]:
-            values = np.mean([[alpha[agent] for alpha in run.alpha] for run in mine], axis=0)
+        for agent in mine[0].told[0]:
+            alphas = [[of[agent]["alpha"] for of in run.told] for run in mine]
+            values = np.asarray(alphas, np.float64).mean(axis=0)
             series.append(Series(agent, list(range(1, len(values) + 1)), values.tolist()))
         charts.append(
             line_chart(series, title=f"alpha, {name}", x_label="deployment", y_label="alpha")
@@ -153,3 +170,9 @@ def _versions(runs: Mapping[str, Sequence[Run]]) -> list[tuple[str, str]]:
         for package, version in run.versions.items():
             found.setdefault(package, set()).add(version)
     return [(package, ", ".join(sorted(versions))) for package, versions in found.items()]
+
+
+def _processors(runs: Mapping[str, Sequence[Run]]) -> str:
+    """Those that the runs were made on: paired differences across two hold other noise."""
+    found = {run.processor for of_arm in runs.values() for run in of_arm}
+    return ", ".join(sorted(found))

@@ -7,16 +7,29 @@ All brains of a run live in one process here. Environment seeds and acting noise
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
+from math import isfinite
 
 from otc_dist import team
 from otc_dist.comparison.arms import describe, of_seed
-from otc_dist.comparison.scores import ComparisonFolder, Evaluation, Run, read_json, write_json
+from otc_dist.comparison.scores import (
+    ComparisonFolder,
+    Evaluation,
+    Run,
+    Told,
+    best_of,
+    read_json,
+    write_json,
+)
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.exploration import Schedule
 from otc_dist.learner import Learner, Progress
+from otc_dist.measured import Measured, horizon
+from otc_dist.processor import processor
+from otc_dist.transitions import JointStep
 
 Tell = Callable[[float, str], None]  # share of the job that is done, and where it stands
 
@@ -69,27 +82,31 @@ def run_arm(
     first = Evaluation(**read_json(folder.offline(seed)))
     if first.policies != _digests(learners):
         raise UserError(f"{folder.offline(seed)} is of other policies; delete it")
-    evaluations, alphas, similarities = [first], [], []
-    count = description.deployment.count
+    evaluations, told = [first], []
+    measured: list[Measured | None] = []
+    count, h = description.deployment.count, _horizon(description)
     for k in range(1, count + 1):
 
         def tell_of_k(share: float, where: str, k: int = k) -> None:
             tell((k - 1 + share) / count, f"{where} {k} of {count}")
 
-        measured = _deploy_and_tune(learners, k, tell_of_k)
-        ranked = {name: values for name, values in measured.items() if "alpha" in values}
-        if ranked:
-            alphas.append({name: values["alpha"] for name, values in ranked.items()})
-            similarities.append({name: values["similarity"] for name, values in ranked.items()})
+        tell_of_k(0.0, "deployment")
+        steps = team.deploy(learners, k)
+        measured.append(_measured(steps, h))
+        told.append(_tune(learners, k, steps, tell_of_k))
         evaluations.append(_evaluate(learners, k))
     run = Run(
         arm=arm,
         seed=seed,
         description=description.digest(),
         evaluations=evaluations,
-        alpha=alphas,
-        similarity=similarities,
+        offline=description.offline_digest(),
+        told=told,
+        measured=measured,
+        horizon=h,
+        best=best_of(measured),
         assignments=list(assignments),
+        processor=processor(),
         versions=dict(versions),
         seconds=round(time.monotonic() - start, 1),
     )
@@ -118,24 +135,41 @@ def _learner(description: Description, agent: str, fits: Iterable[str] = ()) -> 
     return Learner(description, spec.agents[index], data, task, place, fits=fits)
 
 
-def _deploy_and_tune(
-    learners: Sequence[Learner], deployment: int, tell: Tell
-) -> dict[str, dict[str, float]]:
-    """Deployment k and the tuning after it: agent -> what Eq. 4 gave before the updates."""
-    measured: dict[str, dict[str, float]] = {}
-    tell(0.0, "deployment")
-    steps = team.deploy(learners, deployment)
+def _horizon(description: Description) -> int:
+    """Steps of an episode that count where a deployment judges its policies."""
+    spec = registry.team_spec(description.env.id)
+    steps = Schedule.of(description, len(spec.agents)).steps
+    return horizon(steps, spec.max_episode_steps)
+
+
+def _measured(steps: Sequence[JointStep], h: int) -> Measured | None:
+    """What a deployment said of its policies; None if too few episodes began early enough."""
+    try:
+        return team.measured(steps, h)
+    except UserError:
+        return None
+
+
+def _tune(
+    learners: Sequence[Learner], deployment: int, steps: Sequence[JointStep], tell: Tell
+) -> dict[str, Told]:
+    """The tuning after deployment k: agent -> what its sampler gave before the updates."""
+    told: dict[str, Told] = {}
     for index, learner in enumerate(learners):
         name = learner.spec.name
+        told[name] = {}
 
         def report(progress: Progress, index: int = index, name: str = name) -> None:
             if progress.update == 0:
-                measured[name] = progress.metrics
+                told[name] = {
+                    key: value if isfinite(value) else None
+                    for key, value in progress.metrics.items()
+                }
             within = progress.update / max(progress.updates, 1)
             tell((index + within) / len(learners), f"tuning {name} after deployment")
 
         learner.tune(deployment, team.own_transitions(steps, index), report)
-    return measured
+    return told
 
 
 def _evaluate(learners: Sequence[Learner], deployment: int) -> Evaluation:

@@ -1,17 +1,21 @@
 """Raw scores: one JSON file a run (seed, arm), and where everything of a comparison lies."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from math import isfinite
 from pathlib import Path
 from typing import Any, Self
 
 from otc_dist import durable
 from otc_dist.errors import UserError
+from otc_dist.measured import Measured, best
 from otc_dist.run_folder import RunFolder
 
-FORMAT = 1
+FORMAT = 2
+OFFLINE = "pi_0.json"  # the one file of a seed's folder that is no run's
+
+Told = dict[str, float | None]  # name -> value; None where it is not a number
 
 
 @dataclass(frozen=True)
@@ -31,16 +35,28 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Run:
-    """All that one run of an arm showed. `evaluations` are of pi_0 .. pi_K, in order."""
+    """All that one run of an arm showed. `evaluations` are of pi_0 .. pi_K, in order.
+
+    Attributes:
+        told: of each deployment 1..K, agent -> what its sampler gave before the updates after it,
+            like Eq. 4's alpha and similarity; empty where it gives nothing.
+        measured: what each deployment 1..K said of the policies pi_{k-1} that acted in it, over the
+            first `horizon` steps of its episodes; None where too few episodes had room for them.
+        best: the deployment with the greatest estimate, from 1; None if one could not be measured.
+    """
 
     arm: str
     seed: int
     description: str  # digest of the run's description
     evaluations: list[Evaluation]
-    # of each deployment 1..K, agent -> what Eq. 4 gave; empty where the arm has no alpha
-    alpha: list[dict[str, float]] = field(default_factory=list)
-    similarity: list[dict[str, float]] = field(default_factory=list)
+    offline: str = ""  # digest of what its pi_0 depends on
+    analysis: str = ""  # what an arm looks at that no learner may see; empty of any other
+    told: list[dict[str, Told]] = field(default_factory=list)
+    measured: list[Measured | None] = field(default_factory=list)
+    horizon: int = 0
+    best: int | None = None
     assignments: list[str] = field(default_factory=list)
+    processor: str = ""  # results of another one differ in bits
     versions: dict[str, str] = field(default_factory=dict)
     seconds: float = 0.0  # that the run took: the one field that differs when it is repeated
     format: int = FORMAT
@@ -52,15 +68,36 @@ class Run:
     @classmethod
     def read(cls, path: Path) -> Self:
         """Raises UserError if it is missing or damaged."""
-        fields = read_json(path)
+        found = read_json(path)
+        if found.get("format") != FORMAT:
+            version = found.get("format", "unknown")
+            raise UserError(f"{path} has format {version}; this version reads {FORMAT}: delete it")
         try:
-            evaluations = [Evaluation(**item) for item in fields.pop("evaluations")]
-            run = cls(**fields, evaluations=evaluations)
-        except (KeyError, TypeError) as error:
+            if missing := [one.name for one in fields(cls) if one.name not in found]:
+                raise KeyError(missing[0])
+            found["evaluations"] = [Evaluation(**item) for item in found["evaluations"]]
+            found["measured"] = [item and Measured(**item) for item in found["measured"]]
+            run = cls(**found)
+            run._check()
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise UserError(f"{path} is damaged ({error}); delete it") from None
-        if run.format != FORMAT:
-            raise UserError(f"{path} has format {run.format}; this version reads {FORMAT}")
         return run
+
+    def _check(self) -> None:
+        """Raises ValueError or TypeError if it cannot be what a run has shown."""
+        for evaluation in self.evaluations:
+            if not evaluation.returns or not all(map(isfinite, evaluation.returns)):
+                raise ValueError("an evaluation without finite returns")
+        if len(self.measured) != len(self.evaluations) - 1:
+            raise ValueError(f"{len(self.measured)} deployments measured")
+        if self.best != best_of(self.measured):
+            raise ValueError(f"deployment {self.best} is not the best")
+
+
+def best_of(measured: Sequence[Measured | None]) -> int | None:
+    """The deployment with the greatest estimate, from 1; None if one could not be measured."""
+    known = [one for one in measured if one is not None]
+    return best(known) if known and len(known) == len(measured) else None
 
 
 @dataclass(frozen=True)
@@ -94,7 +131,7 @@ class ComparisonFolder:
         return RunFolder(self.root / "seeds" / f"seed_{seed:02d}")
 
     def offline(self, seed: int) -> Path:
-        return self.seed(seed).root / "pi_0.json"
+        return self.seed(seed).root / OFFLINE
 
     def run(self, seed: int, arm: str) -> Path:
         return self.seed(seed).root / f"{arm}.json"

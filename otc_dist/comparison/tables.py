@@ -1,10 +1,12 @@
-"""A summary as text: one table a measure, and the paired differences."""
+"""A summary as text: what the runs are judged by, their differences, and one table a measure."""
 
 from collections.abc import Iterator, Sequence
 from math import isnan
 
-from otc_dist.comparison.arms import NULL, REFERENCE
-from otc_dist.comparison.statistics import RESAMPLES, Spread, Summary, interval
+from otc_dist.comparison.arms import NULL, PERFECT, REFERENCE
+from otc_dist.comparison.intervals import RESAMPLES, Spread
+from otc_dist.comparison.judgement import MEAN, RECOMMENDED, WORST
+from otc_dist.comparison.statistics import Arm, Judged, Summary
 
 TITLES = {
     "return": "return of the greedy team",
@@ -13,9 +15,20 @@ TITLES = {
     "improvement": "improvement over pi_0 (%)",
     "gain": "gain in normalised score over pi_0",
 }
+JUDGED_TITLES = {
+    RECOMMENDED: "recommended policy: the one whose deployment brought the best rewards",
+    MEAN: "mean over the deployments, of pi_1 .. pi_K",
+    WORST: "worst deployed policy, of pi_0 .. pi_{K-1}",
+}
 METHOD = (
-    f"95% percentile intervals of the mean over seeds, {RESAMPLES:,} bootstrap resamples of seeds"
+    "over seeds: mean [95% percentile interval of the mean,"
+    f" {RESAMPLES:,} bootstrap resamples], by Student's t, and the interquartile mean (IQM)"
 )
+SHARE = (
+    f"of the way: from {REFERENCE} to {PERFECT}, where both intervals of {PERFECT} minus"
+    f" {REFERENCE} exclude 0"
+)
+NOTHING = "-"
 
 
 def measures(summary: Summary) -> list[str]:
@@ -23,37 +36,77 @@ def measures(summary: Summary) -> list[str]:
     return [measure for measure in TITLES if measure in summary.arms[0].measures]
 
 
+def judged(summary: Summary) -> list[str]:
+    """What the runs are judged by, in the order in which it is told."""
+    return [name for name in JUDGED_TITLES if any(name in arm.judged for arm in summary.arms)]
+
+
+def label(arm: Arm) -> str:
+    """An arm's name, with a mark if it began from offline policies of its own."""
+    return f"{arm.name} *own pi_0*" if arm.own_pi_0 else arm.name
+
+
 def measure_rows(summary: Summary, measure: str) -> Iterator[list[str]]:
-    """The header, a row for each of pi_0 .. pi_K, and the mean over deployments."""
-    found = [arm.measures[measure] for arm in summary.arms]
+    """The header, how many seeds, a row for each of pi_0 .. pi_K, and the mean of pi_1 .. pi_K."""
+    arms = [arm for arm in summary.arms if measure in arm.measures]
+    found = [arm.measures[measure] for arm in arms]
     last = len(found[0].deployments) - 1
-    yield ["policy", *(arm.name for arm in summary.arms)]
+    yield ["policy", *map(label, arms)]
+    yield ["seeds", *(str(len(arm.seeds)) for arm in arms)]
     for k in range(last + 1):
         yield [f"pi_{k}", *(spread(one.deployments[k]) for one in found)]
     yield [f"mean 1..{last}", *(spread(one.over_deployments) for one in found)]
 
 
-def difference_rows(summary: Summary) -> Iterator[list[str]]:
-    """The header and a row an arm; the null arm last, to be compared with."""
-    last = len(summary.arms[0].measures["return"].deployments) - 1
-    yield [f"minus {REFERENCE}", f"mean of deployments 1..{last}", "seeds", f"last ({last})"]
-    arms = sorted(summary.arms, key=lambda arm: arm.name == NULL)
-    for arm in arms:
-        if arm.last and arm.over_deployments:
-            differences = arm.over_deployments.seeds
-            above = sum(value > 0 for value in differences)
+def gain_rows(summary: Summary) -> Iterator[list[str]]:
+    """The header, and what each arm's recommended policy returns and has over pi_0."""
+    yield [RECOMMENDED, "return", "IQM", "minus pi_0", "by t", "above pi_0", "median gain"]
+    for arm in _null_last(summary):
+        if arm.gain:
+            found, gained = arm.judged[RECOMMENDED].spread, arm.gain.difference
+            median = arm.gain.median
             yield [
-                arm.name,
-                interval(arm.over_deployments),
-                f"{above} of {len(differences)} above 0",
-                interval(arm.last),
+                label(arm),
+                spread(found),
+                f"{found.iqm:,.1f}",
+                str(gained),
+                gained.student,
+                f"{gained.above} of {len(gained.seeds)} seeds",
+                NOTHING if isnan(median) else f"{median:+,.0f}%",
             ]
+
+
+def difference_rows(summary: Summary, measure: str) -> Iterator[list[str]]:
+    """The header and a row an arm; the null arm last, to be compared with."""
+    arms = [(arm, arm.judged[measure]) for arm in _null_last(summary) if measure in arm.judged]
+    shares = any(one.share is not None for _, one in arms)
+    head = [measure, "mean ± std", "IQM", f"minus {REFERENCE}", "by t", "its IQM", "above 0"]
+    yield [*head, "of the way"] if shares else head
+    for arm, one in arms:
+        cells = [label(arm), spread(one.spread), f"{one.spread.iqm:,.1f}", *_difference(one)]
+        yield [*cells, _share(one)] if shares else cells
+
+
+def _difference(one: Judged) -> list[str]:
+    found = one.difference
+    if found is None:
+        return [NOTHING] * 4
+    above = f"{found.above} of {len(found.seeds)} seeds"
+    return [str(found), found.student, f"{found.iqm:+,.1f}", above]
+
+
+def _share(one: Judged) -> str:
+    return NOTHING if one.share is None else f"{100 * one.share:.0f}%"
+
+
+def _null_last(summary: Summary) -> list[Arm]:
+    return sorted(summary.arms, key=lambda arm: arm.name == NULL)
 
 
 def spread(found: Spread) -> str:
     """`1,234.5 ± 67.8`."""
     if isnan(found.mean):
-        return "-"
+        return NOTHING
     deviation = "" if isnan(found.std) else f" ± {found.std:,.1f}"
     return f"{found.mean:,.1f}{deviation}"
 
@@ -74,6 +127,13 @@ def text(summary: Summary) -> Iterator[str]:
     for measure in measures(summary):
         yield f"\n{TITLES[measure]}, mean ± std over seeds"
         yield from aligned(list(measure_rows(summary, measure)))
-    yield f"\npaired differences in return from {REFERENCE}; {METHOD}"
-    yield from aligned(list(difference_rows(summary)))
+    yield f"\n{METHOD};\npaired differences are over the seeds that both sides have"
+    if RECOMMENDED in judged(summary):
+        yield f"\n{JUDGED_TITLES[RECOMMENDED]}; best of the deployments alone beats pi_0"
+        yield from aligned(list(gain_rows(summary)))
+    for name in judged(summary):
+        yield f"\n{JUDGED_TITLES[name]}"
+        yield from aligned(list(difference_rows(summary, name)))
+    if any(one.share is not None for arm in summary.arms for one in arm.judged.values()):
+        yield SHARE
     yield f"\n{summary.conclusion}"

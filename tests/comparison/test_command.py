@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.comparison import collected
 from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
@@ -64,6 +65,84 @@ def test_a_finished_comparison_is_printed_again(
     assert ", 0 of them to do" in out
     assert "2 complete seeds (a quick look, not a result)" in out
     assert finished.report.exists() and finished.results.exists()
+
+
+def test_tables_need_the_raw_scores_only(
+    finished: ComparisonFolder,
+    tiny_flags: tuple[str, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    kept = tmp_path / "tuning" / "hopper"
+    flags = ["--arms", "otc-embedding", "--out", str(finished.root), "--quick", *tiny_flags]
+    flags += ["--seeds", "0,1", "--results", str(kept)]
+    assert compare.main(["3agent_hopper", *flags]) == 0
+    files = [str(path.relative_to(kept)) for path in kept.rglob("*") if path.is_file()]
+    arms = ("otc-embedding", "pi_0", "uniform", "uniform-null")
+    assert set(files) == {
+        "description.toml",
+        *(f"seed_0{seed}/{arm}.json" for seed in (0, 1) for arm in arms),
+    }
+    shown = capsys.readouterr().out
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "no data"))
+    for folder in (kept, finished.root):
+        assert compare.main(["--tables", str(folder)]) == 0
+        out = capsys.readouterr().out
+        assert out.startswith("3agent_hopper, hopper-3x1/medium-replay")
+        tables = out.split("\n", 1)[1].strip()
+        assert tables in shown  # to the letter
+        words = ("minus pi_0", "minus uniform", "by t", "IQM", "worst deployed policy")
+        assert all(word in tables for word in words)
+    (kept / "seed_01" / "uniform.json").unlink()
+    assert compare.main(["--tables", str(kept)]) == 0
+    assert "of 1 seeds" in capsys.readouterr().out
+
+
+def test_results_are_kept_apart_from_those_of_another_description(
+    finished: ComparisonFolder, base: Description, arms: Arms, tmp_path: Path
+) -> None:
+    (tmp_path / "description.toml").write_text("name = 'another'\n")
+    with pytest.raises(UserError, match="of another description; use another --results"):
+        collected.keep(finished, arms, (0,), tmp_path)
+    assert not (tmp_path / "seed_00").exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "told"),
+    [
+        ("description.toml", None, "is no comparison's folder"),
+        ("description.toml", "name = ", "description.toml is damaged"),
+        ("description.toml", "name = 'x'\n[env]\n", "description.toml is damaged"),
+        ("seed_00/uniform.json", None, "holds no run of uniform"),
+        ("seed_00/uniform.json", "{}", r"uniform\.json has format"),
+        ("seed_00/uniform.json", '{"format": 2}', r"uniform\.json is damaged"),
+        ("seed_00/uniform.json", "{", r"cannot read .*uniform\.json"),
+        ("seed_00/uniform-null.json", "copy", "is of uniform, seed 0"),
+    ],
+)
+def test_a_damaged_folder_of_scores_is_one_clear_line(
+    finished: ComparisonFolder, tmp_path: Path, file: str, content: str | None, told: str
+) -> None:
+    collected.keep(finished, ("uniform",), (0,), tmp_path)
+    path = tmp_path / file
+    if content is None:
+        path.unlink()
+    else:
+        uniform = (tmp_path / "seed_00" / "uniform.json").read_text()
+        path.write_text(uniform if content == "copy" else content)
+    with pytest.raises(UserError, match=told) as error:
+        compare.main(["--tables", str(tmp_path)])
+    assert "\n" not in str(error.value)
+
+
+def test_tables_run_nothing_and_so_take_no_other_flag(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="leave out --seeds"):
+        compare.main(["--tables", str(tmp_path), "--seeds", "0"])
+    with pytest.raises(UserError, match="leave out description"):
+        compare.main(["3agent_hopper", "--tables", str(tmp_path)])
+    with pytest.raises(UserError, match="compare which description"):
+        compare.main([])
 
 
 def test_the_mechanism_takes_the_offline_policies_of_a_comparison_as_they_are(

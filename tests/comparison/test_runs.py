@@ -4,14 +4,17 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from otc_dist import checkpoint, learner
+from otc_dist import checkpoint, learner, team
 from otc_dist.comparison import runs
 from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, Arms, describe
-from otc_dist.comparison.scores import ComparisonFolder, Run
+from otc_dist.comparison.scores import ComparisonFolder, Run, best_of
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.measured import Measured
+from otc_dist.processor import processor
 
 from .conftest import SEEDS, VERSIONS, silent
 
@@ -32,8 +35,39 @@ def test_a_file_a_run_holds_all_raw_scores(
         for evaluation in run.evaluations:
             assert len(evaluation.returns) == len(evaluation.lengths) == base.evaluation.episodes
             assert set(evaluation.policies) == {"agent_0", "agent_1", "agent_2"}
-        alphas = base.deployment.count if arm == "otc-embedding" else 0
-        assert len(run.alpha) == len(run.similarity) == alphas
+        assert run.processor == processor()
+        assert run.offline == describe(base, run.assignments, seed).offline_digest()
+        assert len(run.told) == base.deployment.count
+        alphas = {"alpha", "similarity"} if arm == "otc-embedding" else set()
+        assert all(alphas == set(of) - {"guarded"} for told in run.told for of in told.values())
+
+
+def test_every_deployment_judges_the_policies_that_acted_in_it(
+    finished: ComparisonFolder, scores: dict[tuple[int, str], Run], base: Description
+) -> None:
+    steps = base.deployment.transitions // base.env.copies
+    for run in scores.values():
+        assert run.horizon == steps // 2
+        assert len(run.measured) == base.deployment.count
+        means = [one.mean if one else np.nan for one in run.measured]
+        assert run.best == 1 + int(np.argmax(means))
+    deployed = team.deploy(runs.restored(finished, describe(base, KNOWN[REFERENCE], 0)), 1)
+    rewards = np.array([step.rewards[0] for step in deployed], np.float64)
+    ends = np.array([step.terminated | step.truncated for step in deployed])
+    returns = [
+        rewards[:10, copy][: 1 + int(ends[:10, copy].argmax()) if ends[:10, copy].any() else 10]
+        for copy in range(base.env.copies)
+    ]
+    found = scores[0, REFERENCE].measured[0]
+    assert found is not None and not ends[:10].any()  # so only the first episodes had room
+    assert found.episodes == len(returns)
+    assert found.mean == pytest.approx(np.mean([part.sum() for part in returns]))
+
+
+def test_a_deployment_that_cannot_be_measured_recommends_nothing() -> None:
+    some = Measured(1.0, 0.1, 4)
+    assert best_of([some, Measured(2.0, 0.1, 4), some]) == 2
+    assert best_of([some, None]) is None and best_of([]) is None
 
 
 def test_arms_of_a_seed_share_pi_0_and_seeds_do_not(scores: dict[tuple[int, str], Run]) -> None:
@@ -108,6 +142,33 @@ def test_scores_of_other_policies_are_refused(
     mixed.offline(0).write_text(finished.offline(1).read_text())
     with pytest.raises(UserError, match="of other policies"):
         runs.run_arm(mixed, base, 0, "uniform", KNOWN[REFERENCE], VERSIONS, silent)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("measured", []),
+        ("measured", [{"mean": 1.0}, None]),
+        ("best", 3),
+        ("evaluations", [{"returns": [], "lengths": [], "policies": {}}] * 3),
+        ("format", 1),
+        ("surplus", 0),
+    ],
+)
+def test_scores_that_no_run_can_have_are_refused(
+    finished: ComparisonFolder, tmp_path: Path, field: str, value: object
+) -> None:
+    fields = json.loads(finished.run(0, REFERENCE).read_text())
+    path = tmp_path / "uniform.json"
+    path.write_text(json.dumps(fields))
+    assert Run.read(path) == Run.read(finished.run(0, REFERENCE))
+    path.write_text(json.dumps({**fields, field: value}))
+    with pytest.raises(UserError, match=r"uniform\.json"):
+        Run.read(path)
+    path.write_text(json.dumps({key: item for key, item in fields.items() if key != field}))
+    if field != "surplus":
+        with pytest.raises(UserError, match=r"uniform\.json"):
+            Run.read(path)
 
 
 @pytest.mark.parametrize("content", ["", "[]", "{", json.dumps({"arm": "uniform"})])

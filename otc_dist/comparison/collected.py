@@ -1,0 +1,90 @@
+"""Raw scores from a folder, and into one: nothing else of a comparison is needed for its tables.
+
+A comparison's folder holds them in seeds/seed_00/ARM.json; a folder that is kept, as under
+results/tuning/NAME, in seed_00/ARM.json, with pi_0.json and the description beside.
+"""
+
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from otc_dist import durable
+from otc_dist.comparison.arms import KNOWN, REFERENCE
+from otc_dist.comparison.scores import OFFLINE, ComparisonFolder, Run
+from otc_dist.envs import registry
+from otc_dist.errors import UserError
+
+
+@dataclass(frozen=True)
+class Collected:
+    """All finished runs of a comparison, and what it was of."""
+
+    name: str  # the description's
+    env_id: str
+    dataset: str
+    runs: dict[str, list[Run]]  # arm -> its runs by seed; the reference among them
+
+    def normalise(self, value: float) -> float | None:
+        """A return's normalised score, None without reference returns."""
+        known = registry.known(self.env_id)
+        return registry.normalised_score(self.env_id, value) if known else None
+
+
+def collect(root: Path) -> Collected:
+    """Read every raw score in a folder of either kind.
+
+    Raises:
+        UserError: it is none, a file is damaged, or the reference has no run.
+    """
+    description = root / "description.toml"
+    if not description.is_file():
+        raise UserError(f"{root} is no comparison's folder: it has no description.toml")
+    try:
+        # Not by `Description`: raw scores outlast the settings of the version that made them.
+        found = tomllib.loads(description.read_text(encoding="utf-8"))
+        name, env_id = str(found["name"]), str(found["env"]["id"])
+        dataset = str(found["dataset"]["name"])
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError, TypeError) as error:
+        raise UserError(f"{description} is damaged: {error}") from None
+    inside = root / "seeds" if (root / "seeds").is_dir() else root
+    runs: dict[str, list[Run]] = {}
+    for path in sorted(inside.glob("seed_*/*.json")):
+        if path.name != OFFLINE:
+            run = Run.read(path)
+            if (run.arm, f"seed_{run.seed:02d}") != (path.stem, path.parent.name):
+                raise UserError(f"{path} is of {run.arm}, seed {run.seed}; delete it")
+            runs.setdefault(run.arm, []).append(run)
+    if REFERENCE not in runs:
+        raise UserError(f"{root} holds no run of {REFERENCE}, with which all are compared")
+    counts = {len(run.evaluations): run.arm for of_arm in runs.values() for run in of_arm}
+    if len(counts) > 1:
+        arms = " and ".join(counts.values())
+        raise UserError(f"runs in {root} have other numbers of deployments: {arms}")
+    order = [*KNOWN, *sorted(runs)]
+    runs = {arm: runs[arm] for arm in sorted(runs, key=order.index)}
+    return Collected(name, env_id, dataset, runs)
+
+
+def keep(folder: ComparisonFolder, arms: Iterable[str], seeds: Iterable[int], root: Path) -> None:
+    """Copy the description and the raw scores of complete seeds to a folder that is kept.
+
+    Raises:
+        UserError: it is of another description, or cannot be written.
+    """
+    copies = {root / "description.toml": folder.description}
+    for seed in seeds:
+        into = root / f"seed_{seed:02d}"
+        copies[into / OFFLINE] = folder.offline(seed)
+        copies |= {into / f"{arm}.json": folder.run(seed, arm) for arm in arms}
+    try:
+        for target, source in copies.items():
+            content = source.read_bytes()
+            if target.exists() and target.read_bytes() == content:
+                continue
+            if target.name == "description.toml" and target.exists():
+                raise UserError(f"{root} is of another description; use another --results")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            durable.write(target, content)
+    except OSError as error:
+        raise UserError(f"cannot keep results in {root}: {error.strerror}") from None
