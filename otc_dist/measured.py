@@ -34,18 +34,47 @@ def horizon(steps: int, max_episode_steps: int) -> int:
     return min(max_episode_steps, max(steps // 2, 1))
 
 
-def measure(rewards: Float32, ends: Bool, h: int) -> Measured:
+def certain(steps: int, copies: int, max_episode_steps: int) -> bool:
+    """Whether deployments of `steps` lock-steps hold enough episodes whatever the policies do.
+
+    The first episode of every copy counts. A second one of a single copy is certain only where
+    none is so long that it leaves no room.
+    """
+    room = steps - horizon(steps, max_episode_steps)
+    return copies >= ENOUGH or max_episode_steps <= room
+
+
+def possible(steps: int, copies: int) -> bool:
+    """Whether deployments of `steps` lock-steps can hold enough episodes at all."""
+    return copies >= ENOUGH or steps >= ENOUGH
+
+
+def alike(rewards: Sequence[Float32]) -> bool:
+    """Whether all agents got the same rewards, N arrays of any one shape."""
+    return all(np.array_equal(rewards[0], other) for other in rewards[1:])
+
+
+def team_rewards(rewards: Sequence[Float32]) -> Float32:
+    """What the team got: every agent's reward where they are alike, to the bit; else their mean."""
+    return rewards[0] if alike(rewards) else np.mean(rewards, axis=0, dtype=np.float32)
+
+
+def measure(rewards: Float32, terminated: Bool, truncated: Bool, h: int) -> Measured:
     """Judge the policies that acted in one deployment.
+
+    An episode that ended within h steps counts with all it returned; one that the simulator broke
+    off within them does not count.
 
     Args:
         rewards: (T, E), one column an environment copy; the first row begins an episode.
-        ends: (T, E), whether the step was an episode's last.
-        h: steps that count; an episode that ended earlier counts with all it returned.
+        terminated, truncated: (T, E), an episode's last step; both: the simulator broke off there.
+        h: steps that count.
 
     Raises:
         UserError: fewer than two episodes began at least h steps before the end.
     """
     steps = len(rewards)
+    ends, broken = terminated | truncated, terminated & truncated
     begins = np.vstack((np.ones_like(ends[:1]), ends[:-1]))
     begins[max(steps - h + 1, 0) :] = False
     sums = np.vstack((np.zeros_like(rewards[:1], np.float64), rewards.cumsum(0, np.float64)))
@@ -53,12 +82,13 @@ def measure(rewards: Float32, ends: Bool, h: int) -> Measured:
     for start, copy in np.argwhere(begins):
         over = np.flatnonzero(ends[start : start + h, copy])
         stop = start + (over[0] + 1 if len(over) else h)
-        returns.append(sums[stop, copy] - sums[start, copy])
+        if not broken[stop - 1, copy]:
+            returns.append(sums[stop, copy] - sums[start, copy])
     if len(returns) < ENOUGH:
         raise UserError(
-            f"deployment.keep = 'best' needs {ENOUGH} episodes of a deployment that began {h} steps"
-            f" before its end, and there are {len(returns)}: deploy longer"
-            " (deployment.transitions), or use deployment.keep = 'last'"
+            f"to measure its policies a deployment must hold {ENOUGH} episodes that began {h} steps"
+            f" before its end, and it holds {len(returns)}: deploy longer"
+            " (deployment.transitions, env.copies), or use deployment.keep = 'last'"
         )
     error = float(np.std(returns, ddof=1)) / math.sqrt(len(returns))
     return Measured(float(np.mean(returns)), error, len(returns))

@@ -12,6 +12,7 @@ from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
 from otc_dist.exploration import Schedule
 from otc_dist.learner import Learner
+from otc_dist.measured import Measured, measure, team_rewards
 from otc_dist.transitions import JointStep, Transitions
 
 
@@ -43,6 +44,22 @@ def own_transitions(steps: Sequence[JointStep], agent: int) -> Transitions:
     """
     kept = [step for step in steps if step.exploring[agent] or not any(step.exploring)]
     return Transitions.concatenate([step.of_agent(agent) for step in kept])
+
+
+def measured(steps: Sequence[JointStep], h: int) -> Measured:
+    """What a deployment says of its policies, by the team's rewards; see `measured.measure`.
+
+    Args:
+        steps: all of one deployment, from its first.
+        h: steps of an episode that count, the same at every deployment; see `measured.horizon`.
+
+    Raises:
+        UserError: too few episodes had room for h steps.
+    """
+    rewards = np.stack([team_rewards(step.rewards) for step in steps])
+    terminated = np.stack([step.terminated for step in steps])
+    truncated = np.stack([step.truncated for step in steps])
+    return measure(rewards, terminated, truncated, h)
 
 
 def evaluate(learners: Sequence[Learner], deployment: int) -> Rollout:

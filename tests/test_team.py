@@ -63,3 +63,12 @@ def test_an_evaluation_is_what_the_env_host_would_play(learners: list[Learner]) 
         ]
         rollout.advance(actions, (False,) * 3)
     assert team.evaluate(learners, 1).episode_returns == rollout.episode_returns
+
+
+def test_a_deployment_measures_its_policies_by_the_teams_rewards(learners: list[Learner]) -> None:
+    steps = team.deploy(learners, 1)
+    found = team.measured(steps, 5)
+    first = [sum(float(step.rewards[0][copy]) for step in steps[:5]) for copy in range(4)]
+    assert found.episodes >= 4  # of robots that stand for five steps: the first of every copy
+    if found.episodes == 4:
+        assert found.mean == pytest.approx(np.mean(first))
