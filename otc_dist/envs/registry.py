@@ -27,6 +27,7 @@ class _Family:
     make: Callable[[str, int, float | None], BatchedEnv]
     reference_returns: Callable[[str], tuple[float, float]] | None = None  # random, expert team
     task: Callable[[str], Task] | None = None
+    shares_reward: bool = True  # whether all agents get the same one, whatever happens
     most_copies: int | None = None  # of those that nobody asked for; None: they cost little
 
 
@@ -87,7 +88,13 @@ _FAMILIES = (
         most_copies=smac_adapter.MOST_COPIES,
     ),
     _Family((), smax_adapter.knows, smax_adapter.team_spec, _make_smax),
-    _Family((), pettingzoo_adapter.knows, pettingzoo_adapter.team_spec, _make_pettingzoo),
+    _Family(
+        (),
+        pettingzoo_adapter.knows,
+        pettingzoo_adapter.team_spec,
+        _make_pettingzoo,
+        shares_reward=False,
+    ),
 )
 
 
@@ -141,6 +148,13 @@ def task(env_id: str) -> Task | None:
     """Reward and termination as one agent can tell them; None if the task does not say."""
     task_of = _family(env_id).task
     return task_of(env_id) if task_of else None
+
+
+def shares_reward(env_id: str) -> bool:
+    """Whether all agents are sure to get one reward. An environment of the user's own may give
+    each its own, which only its data tell.
+    """
+    return _family(env_id).shares_reward or len(team_spec(env_id).agents) == 1
 
 
 def normalised_score(env_id: str, returns: float) -> float | None:
