@@ -18,6 +18,7 @@ from .board import Board
 from .closing import closing_lines
 from .crew import MISTAKE, Crew, DiedError
 from .forecast import Remaining
+from .keep import check_rewards
 from .observer import Sign, Waiting, observing
 from .plan import Plan
 from .run_record import RunRecord
@@ -52,6 +53,8 @@ def conduct(plan: Plan, record: RunRecord) -> int:
         try:
             with Supervisor(signals) as supervisor:
                 _complete(plan, plan.preparations, supervisor, signals)
+                if plan.place.role == "all":
+                    check_rewards(plan.description, plan.learners)
                 if plan.data_folder is not None:
                     shutil.copyfile(plan.data_folder / CARD, plan.folder.dataset_card)
                 with open_view(title) as view:
@@ -70,6 +73,9 @@ def conduct(plan: Plan, record: RunRecord) -> int:
             record.moved_to("stopped", plan.folder)
             print(f"stopped by {signals.stop.name}; {go_on}")
             return 128 + signals.stop
+        except UserError:
+            record.moved_to("failed", plan.folder)
+            raise
         except DiedError as died:
             record.moved_to("failed", plan.folder)
             if not died.told:

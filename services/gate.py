@@ -10,7 +10,7 @@ from otc_dist import durable, keeping
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.errors import UserError
-from otc_dist.measured import Measured, alike
+from otc_dist.measured import Measured, TooFewError, alike
 from otc_dist.transitions import JointStep
 
 from .process import FailureError, Run
@@ -32,14 +32,14 @@ class Gate:
         episodes are too few.
 
         Raises:
-            UserError: nothing, and what the description asks for needs it.
+            TooFewError: nothing, and what the description asks for needs it.
         """
         if self._settings.exploration != "none":
             return None
         if k not in self._measured:
             try:
                 _, self._measured[k] = read_measured(self._folder.deployment(k))
-            except UserError:
+            except TooFewError:
                 if self._settings.keep == "best" or self._settings.floor is not None:
                     raise
                 return None

@@ -15,7 +15,8 @@ def read_measured(path: Path) -> tuple[int, Measured]:
     The agents come to the same numbers, to the bit, by their own rewards, where these are alike.
 
     Raises:
-        UserError: missing, no log, or too few episodes to measure anything.
+        UserError: missing, or no log.
+        TooFewError: it holds too few episodes to measure anything.
         DamagedLogError: it is damaged.
     """
     with OpenLog(path) as log:
