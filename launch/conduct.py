@@ -14,6 +14,7 @@ from otc_dist.datasets.card import FILE_NAME as CARD
 from otc_dist.errors import UserError
 
 from . import descriptions
+from .approve import waiting_lines
 from .board import Board
 from .closing import closing_lines
 from .crew import MISTAKE, Crew, DiedError
@@ -108,6 +109,7 @@ def _run(
     board = Board(plan.watched, Remaining(plan.parts), crew.health.lives)
     signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
     over: float | None = None  # when the host ended
+    asked = False  # whether it has been said that a person's approval is awaited
 
     def notice(sign: Sign | Waiting) -> None:
         signs.put(sign)
@@ -130,6 +132,11 @@ def _run(
                 raise _StoppedError
             finished = crew.look()
             board.events += crew.drain_events()
+            if board.newest.get(HOST, Status(HOST)).phase != "approval":
+                asked = False
+            elif not asked and (lines := waiting_lines(plan.folder)):
+                asked = True
+                board.events += lines
             view.show(board)
             vital_signs.write(board)
             if HOST in finished and over is None:
