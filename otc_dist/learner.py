@@ -336,7 +336,7 @@ class Learner:
         """
         arrays, found = checkpoint.read(path)
         checkpoint.check_fits(path, found, self._progressed())
-        earlier = checkpoint.parts(arrays, "algorithm")["algorithm"]
+        earlier = checkpoint.parts(arrays)["algorithm"]
         own = {name: x for name, x in self._state.items() if name.startswith("sampler_")}
         kept = {name: x for name, x in earlier.items() if not name.startswith("sampler_")}
         self._state = {**to_tensors(kept, self._engine.device), **own}
