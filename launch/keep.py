@@ -17,8 +17,8 @@ from otc_dist.transitions import Float32
 def settled(description: Description) -> Description:
     """A copy of a description, otherwise resolved, with deployment.keep fixed.
 
-    Unset, it is "best" where that is sure to work: all agents get one reward, nobody explores, and
-    every deployment holds enough episodes whatever the policies do.
+    Unset, it is "best" where that is sure to work: all agents get one reward, nobody explores,
+    every deployment is of one environment, and holds enough episodes whatever the policies do.
 
     Raises:
         UserError: "best", the floor or revert is asked for and cannot work.
@@ -39,6 +39,7 @@ def settled(description: Description) -> Description:
     certain = measured.certain(schedule.steps, env.copies, team.max_episode_steps)
     doubts = {
         "agents explore": schedule.sequential,
+        "the environment changes from one deployment to the next": registry.changes(env.id),
         "agents may get different rewards": not registry.shares_reward(env.id),
         "a deployment may hold too few episodes": not certain,
     }

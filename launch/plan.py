@@ -117,7 +117,8 @@ class Plan:
             path = store.agent_file(d.dataset.name, agent, d.dataset.transitions)
             state = "cached" if path.exists() else "to be made"
             yield f"  {agent:10} {path} ({state})"
-        yield f"work         {d.offline.updates:,} offline updates to pi_0"
+        begins = f"{d.offline.updates:,} offline updates to pi_0"
+        yield f"work         {'pi_0 of another run' if d.offline.policies else begins}"
         if forecast.fit(d).seconds:
             facts = DISTANCES[d.sampling.distance]
             yield f"             and what {facts.title} fits to B_0 ({facts.fits})"

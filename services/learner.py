@@ -90,6 +90,12 @@ class LearnerService:
             except UserError as error:
                 log.warning("%s; trying an older one", error)
                 self._learner = self._fresh()
+        else:
+            if self._run.description.offline.policies:
+                raise UserError(
+                    f"{paths[-1]} is missing or damaged: this run did not train it but took it from"
+                    " another one (--from); begin a new run"
+                )
         self._buffer_complete = self._learner.tuned <= 0
         self._digest = self._learner.policy_digest()
 

@@ -230,6 +230,9 @@ def _provenance(run: RunData) -> str:
         ("wall time", _duration(run.wall_seconds) if run.wall_seconds is not None else "unknown"),
     ]
     resumed = run.record.get("resumed")
+    extended = run.record.get("extended")
+    if isinstance(extended, list) and extended:
+        items.append(("extended to deployments", ", ".join(map(str, extended))))
     if isinstance(resumed, list) and resumed:
         items.append(("resumed (pauses count as wall time)", ", ".join(map(_moment, resumed))))
     return html.section(
