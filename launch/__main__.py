@@ -10,6 +10,7 @@ COMMANDS = {
     "compare": ".compare",
     "mechanism": ".mechanism",
     "status": ".status",
+    "approve": ".approve",
     "chaos": ".chaos",
 }
 

@@ -39,8 +39,11 @@ class Board:
         if "return" in appeared:
             won = f", {measures['success']:.1f} % won" if "success" in measures else ""
             self.events.append(f"{status.process}: return {appeared['return']:.1f}{won}")
+        if "measured" in appeared:
+            told = f"{measures['measured']:,.1f} ± {measures['error']:,.1f}"
+            self.events.append(f"{status.process}: deployment {status.deployment} measured {told}")
         slowest = self._slowest()
-        if slowest is None or slowest.phase == "done":
+        if slowest is None or slowest.phase in ("done", "approval"):
             self.seconds_left = None
         else:
             share = slowest.update / slowest.total if slowest.total else 0.0
@@ -91,6 +94,8 @@ def place(status: Status) -> str:
         return "waiting for the env host"
     if status.phase == "gathering":
         return "waiting for the learners to come"
+    if status.phase == "approval":
+        return f"waiting for a person to approve deployment {status.deployment}"
     if status.phase == "done":
         return "done"
     return f"{status.phase} {status.deployment}" if status.deployment else status.phase

@@ -26,7 +26,24 @@ def closing_lines(folder: RunFolder) -> Iterator[str]:
             yield "episodes won, %: " + _change(
                 offline["success"], last["success"], last["deployment"]
             )
+    if results["stopped"] is not None:
+        yield f"no more deployments: {results['stopped']['reason']}"
+    if results["recommended"] is not None:
+        yield _recommended(results["recommended"])
     yield f"report: {folder.report}"
+
+
+def _recommended(told: Mapping[str, Any]) -> str:
+    checkpoint = f"agents/*/checkpoint_{told['policy']:02d}.safetensors"
+    if told["deployment"] is None:
+        return f"recommended: the last tuned policy ({checkpoint}), which was not deployed"
+    line = f"recommended: the policy of deployment {told['deployment']} ({checkpoint})"
+    if told["mean"] is None:
+        return line
+    return (
+        f"{line}, measured {told['mean']:,.1f} ± {told['error']:,.1f} over the first"
+        f" {told['horizon']} steps of {told['episodes']} episodes"
+    )
 
 
 def _change(offline: float, last: float, deployments: int) -> str:

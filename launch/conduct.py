@@ -14,10 +14,12 @@ from otc_dist.datasets.card import FILE_NAME as CARD
 from otc_dist.errors import UserError
 
 from . import descriptions
+from .approve import waiting_lines
 from .board import Board
 from .closing import closing_lines
 from .crew import MISTAKE, Crew, DiedError
 from .forecast import Remaining
+from .keep import check_rewards
 from .observer import Sign, Waiting, observing
 from .plan import Plan
 from .run_record import RunRecord
@@ -52,6 +54,8 @@ def conduct(plan: Plan, record: RunRecord) -> int:
         try:
             with Supervisor(signals) as supervisor:
                 _complete(plan, plan.preparations, supervisor, signals)
+                if plan.place.role == "all":
+                    check_rewards(plan.description, plan.learners)
                 if plan.data_folder is not None:
                     shutil.copyfile(plan.data_folder / CARD, plan.folder.dataset_card)
                 with open_view(title) as view:
@@ -70,6 +74,9 @@ def conduct(plan: Plan, record: RunRecord) -> int:
             record.moved_to("stopped", plan.folder)
             print(f"stopped by {signals.stop.name}; {go_on}")
             return 128 + signals.stop
+        except UserError:
+            record.moved_to("failed", plan.folder)
+            raise
         except DiedError as died:
             record.moved_to("failed", plan.folder)
             if not died.told:
@@ -102,6 +109,7 @@ def _run(
     board = Board(plan.watched, Remaining(plan.parts), crew.health.lives)
     signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
     over: float | None = None  # when the host ended
+    asked = False  # whether it has been said that a person's approval is awaited
 
     def notice(sign: Sign | Waiting) -> None:
         signs.put(sign)
@@ -124,6 +132,11 @@ def _run(
                 raise _StoppedError
             finished = crew.look()
             board.events += crew.drain_events()
+            if board.newest.get(HOST, Status(HOST)).phase != "approval":
+                asked = False
+            elif not asked and (lines := waiting_lines(plan.folder)):
+                asked = True
+                board.events += lines
             view.show(board)
             vital_signs.write(board)
             if HOST in finished and over is None:

@@ -118,6 +118,9 @@ def parts(description: Description, team: TeamSpec) -> list[Part]:
             Part("tuning", k, sharing * tuning(description)),
             Part("evaluation", k, evaluation),
         ]
+    if description.deployment.confirm:
+        last = description.deployment.total
+        run.append(Part("deployment", last, sharing * acting(description, team)))
     return run
 
 

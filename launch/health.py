@@ -24,8 +24,8 @@ FROZEN_AFTER = 3.0  # seconds without a token and without processor time
 State = Literal["starting", "up", "silent", "waiting", "ended"]
 
 # Order of the phases of one deployment, for learners and the env host alike.
-_ORDER = {"starting": 0, "offline": 1, **dict.fromkeys(FITS, 2), "deployment": 3, "tuning": 3}
-_LATER = {"evaluation": 4, "ready": 5, "done": 6}
+_ORDER = {"starting": 0, "offline": 1, **dict.fromkeys(FITS, 2), "approval": 2}
+_LATER = {"deployment": 3, "tuning": 3, "evaluation": 4, "ready": 5, "done": 6}
 _RANK = {**_ORDER, **_LATER}
 Position = tuple[int, int, int]  # deployment, rank of the phase, update
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from otc_dist.bus.keys import HOST, Keys, Uses
 from otc_dist.datasets import store
-from otc_dist.description import Description
+from otc_dist.description import DeploymentSection, Description
 from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
 from otc_dist.exploration import Schedule
@@ -98,7 +98,12 @@ class Plan:
         step = 4 * numbers + 8 * self.spec.state_size + 100
         count = self.description.deployment.count
         rounds = Schedule.of(self.description, len(self.spec.agents)).rounds
-        logs = count * rounds * self.description.deployment.transitions * step
+        logs = (
+            self.description.deployment.total
+            * rounds
+            * self.description.deployment.transitions
+            * step
+        )
         checkpoints = (count + 2) * len(self.spec.agents) * _CHECKPOINT_BYTES
         return 2 * logs + checkpoints + 10_000_000
 
@@ -112,7 +117,8 @@ class Plan:
             path = store.agent_file(d.dataset.name, agent, d.dataset.transitions)
             state = "cached" if path.exists() else "to be made"
             yield f"  {agent:10} {path} ({state})"
-        yield f"work         {d.offline.updates:,} offline updates to pi_0"
+        begins = f"{d.offline.updates:,} offline updates to pi_0"
+        yield f"work         {'pi_0 of another run' if d.offline.policies else begins}"
         if forecast.fit(d).seconds:
             facts = DISTANCES[d.sampling.distance]
             yield f"             and what {facts.title} fits to B_0 ({facts.fits})"
@@ -123,8 +129,12 @@ class Plan:
             f" transitions{cost}, {d.deployment.updates:,} updates after each"
             + (", of one agent in turn" if d.deployment.turns else "")
         )
+        if d.deployment.confirm:
+            yield "             one deployment more, of the last tuned policy"
+        yield from (f"             {line}" for line in _conditions(d.deployment))
         yield f"             {d.evaluation.episodes} greedy episodes after each tuning"
         yield f"engine       {d.engine.name}"
+        yield f"disk         about {self.disk_bytes / 1e6:,.0f} MB at most"
         yield "first"
         for name, command in self.preparations.items():
             yield f"  {name}: {shlex.join(command)}"
@@ -135,6 +145,16 @@ class Plan:
                 yield from (f"      {does:9} {key}" for key in keys)
         seconds = sum(part.seconds for part in self.parts)
         yield f"time         about {forecast.duration(seconds)}, and what the data take to make"
+
+
+def _conditions(deployment: DeploymentSection) -> Iterator[str]:
+    """What is kept, and what a deployment depends on, in words."""
+    kept = "the best deployed policy" if deployment.keep == "best" else "the last tuned policy"
+    yield f"{kept} is recommended" + (", and tuning goes on from it" if deployment.revert else "")
+    if deployment.floor is not None:
+        yield f"no deployment follows one that measures less than {deployment.floor:g}"
+    if deployment.approve:
+        yield "a person approves each deployment"
 
 
 def make(description: Description, folder: RunFolder, run: str, place: Place) -> Plan:

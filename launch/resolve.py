@@ -10,6 +10,8 @@ from otc_dist.description.algorithms import check_fit
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 
+from .keep import settled
+
 # In a process of its own: importing torch takes seconds and memory that the launcher never needs.
 _ASK_ENGINE = """
 import sys
@@ -20,7 +22,7 @@ run_main(lambda argv: print(engine.resolve(argv[0], int(argv[1]))) or 0)
 
 
 def resolve(description: Description, data_here: bool = True) -> Description:
-    """A copy with dataset.transitions, M and L (deployment.*) and engine.name fixed.
+    """A copy with dataset.transitions, M, L and what is kept (deployment.*), and engine.name fixed.
 
     M is rounded up to a multiple of env.copies, since every copy contributes equally.
 
@@ -30,7 +32,8 @@ def resolve(description: Description, data_here: bool = True) -> Description:
 
     Raises:
         UserError: an unknown environment or data set, a data set of another environment, an
-            algorithm that does not fit its agents, or an engine that this machine cannot run.
+            algorithm that does not fit its agents, deployments that cannot be compared though
+            that is asked for, or an engine that this machine cannot run.
     """
     task = registry.task(description.env.id)
     for agent in registry.team_spec(description.env.id).agents:
@@ -51,7 +54,7 @@ def resolve(description: Description, data_here: bool = True) -> Description:
         f"deployment.transitions={deployed}",
         f"deployment.updates={tuning_updates(description)}",
     )
-    return fixed.with_assignments(f"engine.name={_engine(fixed)}")
+    return settled(fixed).with_assignments(f"engine.name={_engine(fixed)}")
 
 
 def _usual_size(name: str, data_here: bool) -> int:

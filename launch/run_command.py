@@ -15,6 +15,8 @@ from otc_dist.spec import TeamSpec
 
 from . import descriptions, hosts, plan, run_record
 from .conduct import conduct
+from .extend import extend
+from .origin import Origin
 from .place import Place
 from .resolve import resolve
 
@@ -56,11 +58,18 @@ def _start(arguments: argparse.Namespace) -> int:
     quick: bool = arguments.quick
     chosen = descriptions.load(arguments.description, arguments.set, arguments.seed, quick)
     team = registry.team_spec(chosen.env.id)
+    if arguments.deployments is not None:
+        raise UserError("--deployments extends a run: with --resume; else --set deployment.count=N")
+    if arguments.origin is not None and (arguments.hosts or arguments.role):
+        raise UserError("--from is for a run whose processes are all on one machine")
     if arguments.hosts is not None:
         return _on_hosts(arguments, team, bool(chosen.bus.router))
     if arguments.ssh:
         raise UserError("--ssh needs --hosts FILE: on which hosts?")
     place = Place.of(arguments, chosen, team)
+    origin = Origin.of(arguments.origin, chosen) if arguments.origin else None
+    if origin:
+        chosen = origin.begun(chosen)
     description = resolve(chosen, data_here=place.role != "host")
     quickly, whose = "-quick" if quick else "", f"-{place.agent}" if place.agent else ""
     name = f"{description.name}{quickly}-seed{description.seed}{whose}"
@@ -81,7 +90,11 @@ def _start(arguments: argparse.Namespace) -> int:
             return conduct(plan.make(description, planned.folder, record.run, place), record)
     folder = run_record.make_folder(out, planned.disk_bytes)
     with run_record.locked(folder):
-        record = run_record.create(folder, description, quick, place)
+        if origin:
+            origin.write(folder, description)
+        record = run_record.create(
+            folder, description, quick, place, origin.root if origin else None
+        )
         return conduct(plan.make(description, folder, record.run, place), record)
 
 
@@ -110,6 +123,7 @@ def _resume(arguments: argparse.Namespace) -> int:
             ("--quick", arguments.quick),
             ("--dry-run", arguments.dry_run),
             ("--role", arguments.role),
+            ("--from", arguments.origin),
         )
         if value
     ]
@@ -120,6 +134,8 @@ def _resume(arguments: argparse.Namespace) -> int:
         # A folder without a record is not a run's: no lock in it.
         run_record.RunRecord.read(folder).place.knock()
         stack.enter_context(run_record.locked(folder))
+        if arguments.deployments is not None:
+            extend(folder, arguments.deployments)
         record, description = run_record.reopen(folder)
         return conduct(plan.make(description, folder, record.run, record.place), record)
 
@@ -136,9 +152,19 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--set", action="append", default=[], metavar="section.key=value", help="change one value"
     )
-    parser.add_argument("--seed", type=_seed, help="the run's seed")
+    parser.add_argument("--seed", type=_whole, help="the run's seed")
     parser.add_argument("--out", type=Path, help="run folder (default: runs/NAME-seedSEED)")
-    parser.add_argument("--resume", type=Path, metavar="RUN", help="go on with an unfinished run")
+    parser.add_argument("--resume", type=Path, metavar="RUN", help="go on with a run")
+    parser.add_argument(
+        "--deployments", type=_whole, metavar="N", help="with --resume: extend it to so many"
+    )
+    parser.add_argument(
+        "--from",
+        dest="origin",
+        type=Path,
+        metavar="RUN",
+        help="begin with the offline policies of another run, or of a comparison's seed folder",
+    )
     parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
     parser.add_argument("--dry-run", action="store_true", help="print what would run, and stop")
     apart = parser.add_argument_group("on several hosts (see docs/hosts.md)")
@@ -159,7 +185,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _seed(text: str) -> int:
+def _whole(text: str) -> int:
     try:
         return int(text)
     except ValueError:

@@ -43,6 +43,8 @@ class RunRecord:
     quick: bool = False
     place: Place = field(default_factory=Place)  # what of the run this folder is of
     resumed: tuple[str, ...] = ()  # when --resume went on with it
+    extended: tuple[int, ...] = ()  # to how many deployments --deployments extended it
+    origin: str | None = None  # the run whose policies pi_0 it began with; None: it trained them
 
     def write(self, folder: RunFolder) -> None:
         """Replace run.json in one step."""
@@ -60,7 +62,8 @@ class RunRecord:
         try:
             fields = json.loads(folder.run_json.read_text(encoding="utf-8"))
             place = Place(**fields.get("place", {}))
-            return cls(**{**fields, "resumed": tuple(fields["resumed"]), "place": place})
+            lists = {name: tuple(fields.get(name, ())) for name in ("resumed", "extended")}
+            return cls(**{**fields, **lists, "place": place})
         except FileNotFoundError:
             raise UserError(f"{folder.root} is no run folder: it has no run.json") from None
         except (OSError, ValueError, TypeError, KeyError) as error:
@@ -82,8 +85,18 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def create(folder: RunFolder, description: Description, quick: bool, place: Place) -> RunRecord:
-    """Write a new run's description.toml and run.json."""
+def create(
+    folder: RunFolder,
+    description: Description,
+    quick: bool,
+    place: Place,
+    origin: Path | None = None,
+) -> RunRecord:
+    """Write a new run's description.toml and run.json.
+
+    Args:
+        origin: the folder of the run whose policies pi_0 it begins with.
+    """
     started = _now()
     record = RunRecord(
         run=_own_name(folder, started) if place.role == "all" else shared_name(description),
@@ -93,6 +106,7 @@ def create(folder: RunFolder, description: Description, quick: bool, place: Plac
         started=started,
         quick=quick,
         place=place,
+        origin=str(origin) if origin else None,
     )
     durable.write(folder.description, description.to_toml().encode())
     record.write(folder)
@@ -118,12 +132,26 @@ def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
     """
     record = RunRecord.read(folder)
     if record.state == "finished":
-        raise UserError(f"{folder.root} is finished; see {folder.report}")
+        raise UserError(
+            f"{folder.root} is finished; see {folder.report}; --deployments N extends it"
+        )
     description = Description.load(folder.description)
     if description.digest() != record.description:
-        raise UserError(
-            f"{folder.description} has changed since the run began; restore it, or start a new run"
-        )
+        raise changed(folder)
+    check_versions(record, folder)
+    record = replace(record, resumed=(*record.resumed, _now()))
+    return record.moved_to("running", folder), description
+
+
+def changed(folder: RunFolder) -> UserError:
+    """That the description is another one than when the run began."""
+    return UserError(
+        f"{folder.description} has changed since the run began; restore it, or start a new run"
+    )
+
+
+def check_versions(record: RunRecord, folder: RunFolder) -> None:
+    """Refuse to go on with other versions of what a run's bits depend on. Raises UserError."""
     now = versions()
     for package, before in record.versions.items():
         if now.get(package) != before:
@@ -132,8 +160,6 @@ def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
                 f" {now.get(package, 'unknown')}: the result would be neither's;"
                 f" install {before} or start a new run"
             )
-    record = replace(record, resumed=(*record.resumed, _now()))
-    return record.moved_to("running", folder), description
 
 
 def rejoin(folder: RunFolder, description: Description, place: Place) -> RunRecord:

@@ -12,6 +12,7 @@ from otc_dist.parser import Parser
 from otc_dist.run_folder import RunFolder
 
 from . import forecast, run_record
+from .approve import waiting, waiting_lines
 from .board import place
 from .run_record import RunRecord
 from .vital_signs import ProcessState, Supervision
@@ -48,6 +49,7 @@ def main(argv: list[str]) -> int:
             "state": state,
             "started": record.started,
             "finished": record.finished,
+            "waiting": waiting(folder) if launched else None,
             "supervision": supervision and asdict(supervision),
         }
         print(json.dumps(told, indent=1))
@@ -71,6 +73,7 @@ def _lines(folder: RunFolder, state: str, supervision: Supervision | None) -> It
         yield f"go on with: python -m otc_dist.launch --resume {folder.root}"
     if supervision is None:
         return
+    yield from waiting_lines(folder)
     silence = (datetime.now(UTC) - datetime.fromisoformat(supervision.written)).total_seconds()
     if silence > _LATE:
         yield f"the launcher (process {supervision.launcher}) has said nothing for {silence:.0f} s"

@@ -25,7 +25,7 @@ class Progressed:
     Attributes:
         agent: whose it is.
         offline_digest: of what the offline policy depends on.
-        run_digest: of the whole description, which tuning depends on.
+        run_digest: of what tuning depends on.
         offline_updates: updates made offline.
         tuned: k of the policy pi_k, or -1 while offline training is unfinished.
         alpha, similarity: of the newest deployment (Eq. 4).

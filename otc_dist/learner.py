@@ -328,6 +328,21 @@ class Learner:
         for data in online:
             self._experience.merge(data)
 
+    def revert(self, path: Path) -> None:
+        """Go on from an earlier policy: its weights, targets and optimizers, to be tuned by `tune`.
+
+        Everything else stays: all data, alpha, and what the sampler knows of them.
+
+        Raises:
+            UserError: as `load`.
+        """
+        arrays, found = checkpoint.read(path)
+        checkpoint.check_fits(path, found, self._progressed())
+        earlier = checkpoint.parts(arrays)["algorithm"]
+        own = {name: x for name, x in self._state.items() if name.startswith("sampler_")}
+        kept = {name: x for name, x in earlier.items() if not name.startswith("sampler_")}
+        self._state = {**to_tensors(kept, self._engine.device), **own}
+
     def _stream(self, *key: int | str) -> np.random.Generator:
         return stream(self.description.seed, self._agent, *key)
 
@@ -335,7 +350,7 @@ class Learner:
         return checkpoint.Progressed(
             agent=self._agent,
             offline_digest=self.description.offline_digest(),
-            run_digest=self.description.digest(),
+            run_digest=self.description.tuning_digest(),
             offline_updates=self._offline_updates,
             tuned=self.tuned,
             alpha=self._alpha.value,

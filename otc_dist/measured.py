@@ -17,6 +17,10 @@ from otc_dist.transitions import Bool, Float32
 ENOUGH = 2  # episodes that an estimate and its standard error need
 
 
+class TooFewError(UserError):
+    """A deployment holds too few episodes to measure the policies that acted in it."""
+
+
 @dataclass(frozen=True)
 class Measured:
     """The mean return of the first h steps of an episode, by the episodes of one deployment."""
@@ -71,7 +75,7 @@ def measure(rewards: Float32, terminated: Bool, truncated: Bool, h: int) -> Meas
         h: steps that count.
 
     Raises:
-        UserError: fewer than two episodes began at least h steps before the end.
+        TooFewError: fewer than two episodes began at least h steps before the end.
     """
     steps = len(rewards)
     ends, broken = terminated | truncated, terminated & truncated
@@ -85,7 +89,7 @@ def measure(rewards: Float32, terminated: Bool, truncated: Bool, h: int) -> Meas
         if not broken[stop - 1, copy]:
             returns.append(sums[stop, copy] - sums[start, copy])
     if len(returns) < ENOUGH:
-        raise UserError(
+        raise TooFewError(
             f"to measure its policies a deployment must hold {ENOUGH} episodes that began {h} steps"
             f" before its end, and it holds {len(returns)}: deploy longer"
             " (deployment.transitions, env.copies), or use deployment.keep = 'last'"

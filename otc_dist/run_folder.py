@@ -13,8 +13,9 @@ class RunFolder:
     dataset_card.json                what B_0 was
     deployments/deployment_01.mcap   one log a deployment, written by the env host
     evaluations/evaluation_00.json   greedy returns of pi_0, pi_1, ..., written by the env host
-    agents/agent_0/                  one learner's own: checkpoints and metrics.jsonl
+    agents/agent_0/                  one learner's own: checkpoints, metrics.jsonl, recommended.json
     output/                          what each process printed
+    waiting.json                     for whom the env host waits, while it does
     supervision.json                 how each process is, written by the launcher while it runs
     results.json, report.html        written at the end
     """
@@ -38,6 +39,10 @@ class RunFolder:
         return self.root / "supervision.json"
 
     @property
+    def waiting(self) -> Path:
+        return self.root / "waiting.json"
+
+    @property
     def results(self) -> Path:
         return self.root / "results.json"
 
@@ -48,6 +53,10 @@ class RunFolder:
     def deployment(self, k: int) -> Path:
         """Log of deployment k = 1..K; while it is being written, `.mcap.partial` is appended."""
         return self.root / "deployments" / f"deployment_{k:02d}.mcap"
+
+    def approval(self, k: int) -> Path:
+        """Made by a person who lets deployment k begin, where that is asked for; may be empty."""
+        return self.root / "deployments" / f"approved_{k:02d}"
 
     def evaluation(self, k: int) -> Path:
         """Greedy returns of the team pi_k, k = 0..K."""
@@ -63,6 +72,10 @@ class RunFolder:
     def offline_checkpoint(self, name: str) -> Path:
         """Newest unfinished state of offline training."""
         return self.agent(name) / "offline.safetensors"
+
+    def recommended(self, name: str) -> Path:
+        """Which of its policies agent `name` recommends, written by its learner in the end."""
+        return self.agent(name) / "recommended.json"
 
     def metrics(self, name: str) -> Path:
         return self.agent(name) / "metrics.jsonl"

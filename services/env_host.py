@@ -31,6 +31,7 @@ from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
 from otc_dist.transitions import Float32, JointStep
 
+from .gate import Gate
 from .history import history_of
 from .host_state import HostState
 from .process import FailureError, Run, door_at, parser, patience, serve
@@ -42,11 +43,14 @@ _FAREWELL = 5.0  # seconds that learners may take to leave once all is done
 
 
 class EnvHost:
-    """One run's env host: evaluation 0, then deployment k and evaluation k for k = 1..K."""
+    """One run's env host: evaluation 0, then deployment k and evaluation k for k = 1..K, and a last
+    deployment if pi_K is to be confirmed. After one below the floor no other follows.
+    """
 
     def __init__(self, run: Run, session: Session) -> None:
         self._run, self._session = run, session
         self._description, self._folder = run.description, run.folder
+        self._settings, self._gate = run.description.deployment, Gate(run)
         self._rejections = Rejections()
         self._schedule = run.schedule
         self._state = HostState.begin(self._folder)
@@ -77,14 +81,16 @@ class EnvHost:
                 self._enter("gathering", 0, 0)
                 self._presence.wait_for_all(patience)
             self._evaluate(0)
-            for k in range(1, self._description.deployment.count + 1):
-                self._deploy(k)
-                self._evaluate(k)
-            count = self._description.deployment.count
-            moment = Moment("done", count, self._state.epoch, 0)
+            made = 0
+            while made < self._settings.total and not self._gate.closed(made + 1):
+                made += 1
+                self._deploy(made)
+                if made <= self._settings.count:
+                    self._evaluate(made)
+            moment = Moment("done", made, self._state.epoch, 0)
             nothing = [Observation(moment, None, None)] * len(self._run.team.agents)
             self._lockstep.ask(nothing, acting=False)
-            self._enter("done", count, 0)
+            self._enter("done", made, 0)
             self._presence.wait_for_none(_FAREWELL)
 
     def _evaluate(self, k: int) -> None:
@@ -130,6 +136,9 @@ class EnvHost:
         path = self._folder.deployment(k)
         if path.exists():
             return
+        if self._gate.needs_approval(k):
+            self._enter("approval", k, 0)
+            self._gate.wait_for_approval(k)
         self._enter("deployment", k, self._schedule.steps)
         description = self._description
         env = registry.make(self._run.team.env_id, description.env.copies, description.progress(k))
@@ -143,6 +152,7 @@ class EnvHost:
                     self._check_deployed(k, answers)
                     tags = self._schedule.exploring(rollout.step)
                     last = rollout.advance(_actions(answers), tags)
+                    self._gate.check_rewards(last)
                     writer.write(last)
                 self._step = rollout.step
                 self._ask("deployment", k, rollout.step, rollout.observations, last)
@@ -150,8 +160,11 @@ class EnvHost:
             finally:
                 writer.close()
         env.close()
-        self.heartbeat.publish()
         log.info("deployment %d: %d steps in %s", k, self._schedule.steps, path.name)
+        if found := self._gate.measured(k):
+            self._metrics = {"measured": found.mean, "error": found.error}
+            log.info("deployment %d measured %.1f ± %.1f", k, found.mean, found.error)
+        self.heartbeat.publish()
 
     def _open_log(self, path: Path, k: int, rollout: Rollout) -> tuple[LogWriter, JointStep | None]:
         """The log to write, and its last step; `rollout` has caught up with it."""
@@ -169,7 +182,7 @@ class EnvHost:
             deployment=k,
             seed=description.seed,
             description=description.to_toml(),
-            description_digest=description.digest(),
+            description_digest=description.tuning_digest(),
             team=self._run.team,
             copies=description.env.copies,
             versions=versions() | dict(rollout.simulator),

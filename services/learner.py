@@ -20,6 +20,7 @@ from otc_dist.errors import UserError, unknown
 from otc_dist.spec import AgentSpec
 
 from .gathering import Gathering
+from .judge import Judge
 from .metrics import MetricsFile
 from .process import Run, door_at, parser, patience, serve
 
@@ -51,6 +52,8 @@ class LearnerService:
         self._steps, self._own = schedule.steps, schedule.own(index)
         self._explores = [schedule.exploring(step)[index] for step in range(schedule.steps)]
         self._gathering = Gathering(run.description.env.copies, self._own, self._history.fetch)
+        self._judge = Judge(run, agent.name, self._history.fetch)
+        self._last = run.description.deployment.count  # no tuning follows what comes after it
         self._metrics = MetricsFile(self._folder.metrics(agent.name))
         self._adapted: dict[str, float] = {}  # alpha and similarity of the newest deployment
         self._buffer_complete = True  # whether the learner's buffer holds D_1 .. D_tuned
@@ -60,7 +63,7 @@ class LearnerService:
     def serve(self) -> None:
         """Train offline on B_0, then answer until the run is done."""
         self._task = registry.task(self._run.team.env_id)
-        self._load(self._run.description.deployment.count)
+        self._load(self._last)
         if self._learner.tuned < 0:
             self._pretrain()
         self._ready()
@@ -87,6 +90,12 @@ class LearnerService:
             except UserError as error:
                 log.warning("%s; trying an older one", error)
                 self._learner = self._fresh()
+        else:
+            if self._run.description.offline.policies:
+                raise UserError(
+                    f"{paths[-1]} is missing or damaged: this run did not train it but took it from"
+                    " another one (--from); begin a new run"
+                )
         self._buffer_complete = self._learner.tuned <= 0
         self._digest = self._learner.policy_digest()
 
@@ -119,14 +128,19 @@ class LearnerService:
             self._lockstep.answer(self._answered)  # it was lost, or came too late
             return False
         if moment.phase == "done" or question.observations is None:
-            self._reach(moment.policy)
+            tuned = min(moment.policy, self._last)
+            self._reach(tuned)
+            self._judge.recommend(moment.deployment, tuned)
             self._answer(Action(moment, None, self._digest))
             return True
         if moment.phase == "deployment" and moment.step == self._steps:
             # Everybody's last step is logged: say so at once, then train.
             self._gathering.take(question)
             self._answer(Action(moment, None, self._digest))
-            self._reach(moment.deployment)
+            if moment.deployment <= self._last:
+                self._reach(moment.deployment)
+            else:
+                self._judge.take(moment.deployment, self._gathering.all(moment.deployment))
             return False
         self._reach(moment.policy)
         if moment.phase == "deployment":
@@ -160,12 +174,26 @@ class LearnerService:
                 self._tune(self._learner.tuned + 1)
 
     def _tune(self, k: int) -> None:
-        """Line 5 to 16 of Algorithm 1: D_k joins the buffer, alpha adapts, L updates follow."""
+        """Line 5 to 16 of Algorithm 1: D_k joins the buffer, alpha adapts, L updates follow.
+
+        Where it is to go on from an earlier policy whose checkpoint is lost, it holds an older one
+        afterwards: ask again.
+        """
         if not self._buffer_complete:
             own = (self._own.start, self._own.stop)
             self._learner.restore([self._history.fetch(j, *own) for j in range(1, k)])
             self._buffer_complete = True
-        self._learner.tune(k, self._gathering.all(k), self._report)
+        data = self._gathering.all(k)
+        self._judge.take(k, data)
+        if (best := self._judge.reverted(k)) is not None:
+            log.info("deployment %d fell short: tuning goes on from policy %d", k, best)
+            try:
+                self._learner.revert(self._folder.checkpoint(self._name, best))
+            except UserError as error:
+                log.warning("%s; it and what follows are made again", error)
+                self._load(best)
+                return
+        self._learner.tune(k, data, self._report)
         self._trained()
         self._ready()
 

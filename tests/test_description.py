@@ -189,6 +189,8 @@ OTHER = {
     "sampling.density_hidden": [3],
     "deployment.exploration": "sequential",
     "deployment.exploration_rate": 0.5,
+    "deployment.keep": "best",
+    "offline.policies": "0123456789abcdef",
     "sampling.name": "uniform",
     "sampling.distance": "value",
     "sampling.matching": "exact",
@@ -221,5 +223,7 @@ def test_digests_depend_on_every_setting_and_the_offline_one_on_its_own(path: st
     assert (after.digest() != before.digest()) is (path != "bus.router")
     hosts_agree = path in ("bus.router", "engine.name")
     assert (after.shared_digest() == before.shared_digest()) is hosts_agree
+    later = {f"deployment.{key}" for key in ("count", "keep", "confirm", "floor", "approve")}
+    assert (after.tuning_digest() == before.tuning_digest()) is (path in {"bus.router", *later})
     offline = path.startswith(OFFLINE)
     assert (after.offline_digest() != before.offline_digest()) is offline

@@ -96,7 +96,7 @@ def history_reply(
     """
     rows = history_rows(agent, maximum_payload)
     page = max(1, rows // description.env.copies)  # steps
-    deployments = description.deployment.count
+    deployments = description.deployment.total
 
     def reply(parameters: Mapping[str, str]) -> bytes:
         try:

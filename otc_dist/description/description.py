@@ -199,6 +199,16 @@ class Description(Section):
         """
         return _hash(self.model_dump_json(exclude={"bus": {"router"}}))
 
+    def tuning_digest(self) -> str:
+        """Identifies what pi_k and deployment k depend on, as `digest` does the whole.
+
+        How many deployments there are, and what is done with their outcome, is left out: a run
+        that is extended goes on with the checkpoints and logs that it has. Where the environment
+        changes in the course of the deployments, their number matters: who extends must know.
+        """
+        ending = {"count", "keep", "confirm", "floor", "approve"}
+        return _hash(self.model_dump_json(exclude={"bus": {"router"}, "deployment": ending}))
+
     def shared_digest(self) -> str:
         """Identifies what env host and learners must agree on: all but each host's own engine."""
         return _hash(self.model_dump_json(exclude={"bus": {"router"}, "engine": True}))

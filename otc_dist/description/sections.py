@@ -149,6 +149,10 @@ class OfflineSection(Section):
     """Offline training to pi_0. Targets with tau 0.005 settle in tens of thousands of updates."""
 
     updates: int = Field(default=100_000, ge=0, description="offline updates to pi_0")
+    policies: str = Field(
+        default="",
+        description="digest of policies pi_0 taken from another run, set by --from; empty: trained",
+    )
 
 
 class DeploymentSection(Section):
@@ -177,6 +181,44 @@ class DeploymentSection(Section):
     exploration_rate: float = Field(
         default=0.1, ge=0, le=1, description="share of random actions among discrete ones"
     )
+    keep: Literal["best", "last"] | None = Field(
+        default=None,
+        description="the policy that is recommended in the end: the best deployed one, as the"
+        " deployments measured them, or the last tuned one; unset: best where all agents get one"
+        " reward and nobody explores, else last",
+    )
+    confirm: bool = Field(
+        default=False,
+        description="deploy the last tuned policy once more, so that it is measured as well",
+    )
+    revert: bool = Field(
+        default=False, description="tuning goes on from the best policy deployed so far"
+    )
+    floor: float | None = Field(
+        default=None,
+        allow_inf_nan=False,
+        description="no deployment follows one whose measured return is below it; unset: none is",
+    )
+    approve: bool = Field(default=False, description="wait for a person before each deployment")
+
+    @property
+    def total(self) -> int:
+        """Deployments in all: K, and the one that confirms pi_K."""
+        return self.count + self.confirm
+
+    @model_validator(mode="after")
+    def _measurable(self) -> Self:
+        if self.exploration != "none":
+            asked = ("keep = 'best'", self.keep == "best"), ("floor", self.floor is not None)
+            for what, wanted in asked:
+                if wanted:
+                    raise ValueError(
+                        f"{what} needs exploration = 'none': an agent that explores does not act by"
+                        " its policy, which is then not measured"
+                    )
+        if self.revert and self.keep == "last":
+            raise ValueError("revert needs keep = 'best': it goes back to the best deployed policy")
+        return self
 
 
 class EvaluationSection(Section):

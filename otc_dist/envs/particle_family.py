@@ -73,6 +73,11 @@ def make(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
     return task.make(agents, copies)
 
 
+def changes(env_id: str) -> bool:
+    """Whether the task changes in the course of the deployments."""
+    return env_id == navigation.ENV_ID
+
+
 def task(env_id: str) -> Task:
     """See `registry.task`; errors as `team_spec`."""
     if env_id == navigation.ENV_ID:

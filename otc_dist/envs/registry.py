@@ -27,6 +27,8 @@ class _Family:
     make: Callable[[str, int, float | None], BatchedEnv]
     reference_returns: Callable[[str], tuple[float, float]] | None = None  # random, expert team
     task: Callable[[str], Task] | None = None
+    changes: Callable[[str], bool] | None = None  # in the course of the deployments; None: never
+    shares_reward: bool = True  # whether all agents get the same one, whatever happens
     most_copies: int | None = None  # of those that nobody asked for; None: they cost little
 
 
@@ -72,6 +74,7 @@ _FAMILIES = (
         particle_family.team_spec,
         particle_family.make,
         task=particle_family.task,
+        changes=particle_family.changes,
     ),
     _Family(
         tuple(skirmish.SKIRMISHES),
@@ -87,7 +90,13 @@ _FAMILIES = (
         most_copies=smac_adapter.MOST_COPIES,
     ),
     _Family((), smax_adapter.knows, smax_adapter.team_spec, _make_smax),
-    _Family((), pettingzoo_adapter.knows, pettingzoo_adapter.team_spec, _make_pettingzoo),
+    _Family(
+        (),
+        pettingzoo_adapter.knows,
+        pettingzoo_adapter.team_spec,
+        _make_pettingzoo,
+        shares_reward=False,
+    ),
 )
 
 
@@ -141,6 +150,21 @@ def task(env_id: str) -> Task | None:
     """Reward and termination as one agent can tell them; None if the task does not say."""
     task_of = _family(env_id).task
     return task_of(env_id) if task_of else None
+
+
+def shares_reward(env_id: str) -> bool:
+    """Whether all agents are sure to get one reward. An environment of the user's own may give
+    each its own, which only its data tell.
+    """
+    return _family(env_id).shares_reward or len(team_spec(env_id).agents) == 1
+
+
+def changes(env_id: str) -> bool:
+    """Whether deployment k is played in another environment than those before it, which depends
+    on how many deployments there are.
+    """
+    changes_of = _family(env_id).changes
+    return changes_of is not None and changes_of(env_id)
 
 
 def normalised_score(env_id: str, returns: float) -> float | None:

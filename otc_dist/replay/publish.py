@@ -55,7 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
     told = {(header.run, header.description_digest) for header in headers.values()}
     if len(told) > 1:
         raise UserError("the logs are of several runs: publish one at a time")
-    description = Description.parse(first.description, source=f"the description in {paths[0]}")
+    # Of the last, which tells of all deployments, should the run have been extended.
+    last = headers[paths[-1]].description
+    description = Description.parse(last, source=f"the description in {paths[-1]}")
     summaries = [read_summary(path) for path in paths]
     parts = [(summary, select(arguments, summary)) for summary in summaries]
     root = arguments.run or paths[0].resolve().parent.parent
@@ -170,7 +172,7 @@ def _prepare_learners(
     try:
         folder.root.mkdir(parents=True, exist_ok=True)
         if not folder.description.exists():
-            folder.description.write_text(header.description, encoding="utf-8")
+            folder.description.write_text(description.to_toml(), encoding="utf-8")
             folder.run_json.write_text(json.dumps({"run": header.run}) + "\n", encoding="utf-8")
     except OSError as error:
         raise UserError(f"cannot make {folder.root}: {error.strerror}") from None

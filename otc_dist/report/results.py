@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
+from otc_dist.report import kept
 from otc_dist.report.run_data import Evaluation, RunData
 from otc_dist.report.statistics import Spread, improvement
 
@@ -121,6 +122,10 @@ def results(run: RunData) -> dict[str, object]:
         "started": run.record.get("started"),
         "wall_seconds": run.wall_seconds,
         "deployments": run.deployments,
+        "measured": [asdict(estimate) for estimate in kept.estimates(run)],
+        "recommended": kept.recommended(run),
+        "stopped": kept.stopped(run),
+        "pi_0": run.record.get("origin"),
         "evaluations": [asdict(evaluation) for evaluation in run.evaluations],
         "table": [asdict(row) for row in rows(run)],
         "tuned": asdict(summary) if summary else None,

@@ -8,8 +8,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
+from otc_dist import keeping
+from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.measured import Measured, TooFewError
 from otc_dist.run_folder import RunFolder
 
 T = TypeVar("T")
@@ -63,6 +66,8 @@ class RunData:
     evaluations: list[Evaluation]  # in order of k
     agents: list[AgentHistory]
     deployments: int  # finished ones
+    measured: dict[int, Measured]  # by deployment; without those that say nothing
+    horizon: int  # h, the steps of an episode that they are measured by; 0 without any
     wall_seconds: float | None
     problems: list[str]  # what is missing or damaged, one line each
 
@@ -72,10 +77,20 @@ class RunData:
 
     @property
     def complete(self) -> bool:
-        """All deployments took place, and all evaluations that were asked for."""
-        count = self.description.deployment.count
-        wanted = set(range(count + 1)) if self.description.evaluation.episodes else set()
-        return self.deployments >= count and wanted <= {e.deployment for e in self.evaluations}
+        """All deployments took place, or all before the floor, and their evaluations."""
+        settings = self.description.deployment
+        made = self.deployments if self.ended_by_floor else settings.total
+        wanted = set(range(min(made, settings.count) + 1))
+        if not self.description.evaluation.episodes:
+            wanted = set()
+        return self.deployments >= made and wanted <= {e.deployment for e in self.evaluations}
+
+    @property
+    def ended_by_floor(self) -> bool:
+        """Whether the last deployment was the last since it measured too little."""
+        settings = self.description.deployment
+        ends = keeping.ends(settings.floor, self.measured.get(self.deployments))
+        return ends and self.deployments < settings.total
 
 
 def read_run(folder: RunFolder) -> RunData:
@@ -98,9 +113,10 @@ def read_run(folder: RunFolder) -> RunData:
             evaluation = _attempt(path, _read_evaluation, problems)
             if evaluation is not None:
                 evaluations.append(evaluation)
-    deployments = sum(
-        folder.deployment(k).exists() for k in range(1, description.deployment.count + 1)
-    )
+    finished = [
+        k for k in range(1, description.deployment.total + 1) if folder.deployment(k).exists()
+    ]
+    measured, horizon = _read_measured(folder, description, finished, problems)
     agents_folder = folder.root / "agents"
     names = sorted(p.name for p in agents_folder.iterdir()) if agents_folder.is_dir() else []
     agents = [
@@ -117,10 +133,30 @@ def read_run(folder: RunFolder) -> RunData:
         card=card,
         evaluations=evaluations,
         agents=agents,
-        deployments=deployments,
+        deployments=len(finished),
+        measured=measured,
+        horizon=horizon,
         wall_seconds=_wall_seconds(folder, record or {}),
         problems=problems,
     )
+
+
+def _read_measured(
+    folder: RunFolder, description: Description, finished: list[int], problems: list[str]
+) -> tuple[dict[int, Measured], int]:
+    found: dict[int, Measured] = {}
+    horizon = 0
+    if description.deployment.exploration != "none":
+        return found, horizon
+    for k in finished:
+        path = folder.deployment(k)
+        try:
+            horizon, found[k] = read_measured(path)
+        except TooFewError:
+            continue
+        except (OSError, UserError) as error:
+            problems.append(f"{path.name} cannot be read: {type(error).__name__}")
+    return found, horizon
 
 
 def _attempt(path: Path, read: Callable[[Path], T], problems: list[str]) -> T | None:

@@ -7,7 +7,7 @@ from datetime import datetime
 
 from otc_dist.description.distances import FITS
 from otc_dist.exploration import Schedule
-from otc_dist.report import html
+from otc_dist.report import html, kept
 from otc_dist.report.results import QUICK_LABEL, offline_row, rows, tuned
 from otc_dist.report.returns import percent, returns_table, signed
 from otc_dist.report.run_data import RunData
@@ -19,7 +19,7 @@ _MOST_POINTS = 300  # of one training curve; more cannot be seen
 
 def render(run: RunData) -> str:
     """The page."""
-    d = run.description
+    d, told = run.description, kept.recommended(run)
     lead = " · ".join(
         part
         for part in (
@@ -27,6 +27,7 @@ def render(run: RunData) -> str:
             f"seed {d.seed}",
             str(run.record.get("run") or run.folder.root.name),
             _moment(run.record.get("started")),
+            f"recommended: {kept.named(told)}" if told else "",
         )
         if part
     )
@@ -37,6 +38,7 @@ def render(run: RunData) -> str:
             *_notices(run),
             _figures(run),
             html.section("", _learning_curve(run)),
+            kept.section(run),
             html.pair(
                 html.section(
                     "", _tuning_chart(run, "alpha", "Prioritization strength alpha", "alpha")
@@ -63,7 +65,7 @@ def _notices(run: RunData) -> list[str]:
             )
         )
     if not run.complete:
-        count, state = run.description.deployment.count, run.record.get("state")
+        count, state = run.description.deployment.total, run.record.get("state")
         notices.append(
             html.notice(
                 "This run is not complete.",
@@ -71,6 +73,8 @@ def _notices(run: RunData) -> list[str]:
                 f" so far{f'; its state is {state!r}' if state else ''}.",
             )
         )
+    if ended := kept.stopped(run):
+        notices.append(html.notice("Deployments ended early:", f"{ended['reason']}."))
     if run.problems:
         notices.append(html.notice("Not in this report:", "; ".join(run.problems) + "."))
     return notices
@@ -221,10 +225,14 @@ def _provenance(run: RunData) -> str:
     items = [
         ("description digest", run.description.digest()),
         ("seed", str(run.description.seed)),
+        *([("pi_0 was taken from", str(origin))] if (origin := run.record.get("origin")) else []),
         ("started", _moment(run.record.get("started")) or "unknown"),
         ("wall time", _duration(run.wall_seconds) if run.wall_seconds is not None else "unknown"),
     ]
     resumed = run.record.get("resumed")
+    extended = run.record.get("extended")
+    if isinstance(extended, list) and extended:
+        items.append(("extended to deployments", ", ".join(map(str, extended))))
     if isinstance(resumed, list) and resumed:
         items.append(("resumed (pauses count as wall time)", ", ".join(map(_moment, resumed))))
     return html.section(

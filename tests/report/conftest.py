@@ -3,10 +3,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from otc_dist.deployment_log.header import LogHeader
+from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.description import Description
 from otc_dist.run_folder import RunFolder
+from otc_dist.spec import AgentSpec, TeamSpec
+from otc_dist.transitions import JointStep
 
 
 class MadeRun:
@@ -20,7 +25,7 @@ class MadeRun:
                 "summary": "made by hand",
                 "env": {"id": "hopper-3x1"},
                 "dataset": {"name": "hopper-3x1/medium-replay", "transitions": 1000},
-                "deployment": {"count": 3, "updates": 100},
+                "deployment": {"count": 3, "updates": 100, "keep": "best"},
                 "evaluation": {"episodes": 2},
                 "seed": 5,
             }
@@ -40,8 +45,8 @@ class MadeRun:
         self.write_record()
         for k, returns in enumerate([[-10.0, -30.0], [-10.0, -10.0], [0.0, 20.0], [10.0, 30.0]]):
             self.evaluate(k, returns)
-        for k in (1, 2, 3):
-            self.folder.deployment(k).touch()
+        for k, returns in enumerate([[1.0, 3.0], [4.0, 8.0], [2.0, 4.0]], 1):
+            self.deploy(k, returns)
         for agent in ("agent_0", "agent_1"):
             self.folder.agent(agent).mkdir(parents=True)
             self.report(agent, "embedding", 0, 50, 50, loss=0.5, active_dimensions=7.0)
@@ -78,6 +83,36 @@ class MadeRun:
                 }
             )
         )
+
+    def deploy(self, k: int, returns: list[float]) -> None:
+        """Two copies of an episode, of which half counts, with these returns until then."""
+        agents = tuple(AgentSpec(f"agent_{i}", 1, (-1.0,), (1.0,)) for i in range(2))
+        team, copies, steps = TeamSpec("hopper-3x1", agents, 0, 8), len(returns), 16
+        header = LogHeader("made-1", k, 5, "", "0" * 16, team, copies)
+        writer = LogWriter.create(self.folder.deployment(k), header)
+        numbers, never = np.zeros((copies, 1), np.float32), np.zeros(copies, bool)
+        rewards = np.float32(returns) / 8
+        for step in range(steps):
+            writer.write(
+                JointStep(
+                    step,
+                    (numbers,) * 2,
+                    (numbers,) * 2,
+                    (rewards if step < 8 else 0 * rewards,) * 2,
+                    (numbers,) * 2,
+                    never,
+                    never,
+                    (False, False),
+                    np.arange(copies),
+                    np.zeros((copies, 0)),
+                )
+            )
+        writer.finish({agent.name: f"digest {k - 1}" for agent in agents})
+
+    def describe(self, *assignments: str) -> None:
+        """Change the run's description."""
+        self.description = self.description.with_assignments(*assignments)
+        self.folder.description.write_text(self.description.to_toml())
 
     def report(
         self, agent: str, phase: str, k: int, update: int, updates: int, **metrics: float

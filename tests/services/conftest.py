@@ -108,10 +108,13 @@ class Services:
         """All that must be the same in every run of a seed, as bytes."""
         description = Description.load(self.folder.description)
         found: dict[str, object] = {}
-        for k in range(description.deployment.count + 1):
-            for agent in AGENTS:
-                found[f"{agent} {k}"] = self.folder.checkpoint(agent, k).read_bytes()
-            found[f"evaluation {k}"] = self.folder.evaluation(k).read_bytes()
+        for agent in AGENTS:
+            found[f"{agent} recommends"] = self.folder.recommended(agent).read_bytes()
+        for k in range(description.deployment.total + 1):
+            if k <= description.deployment.count:
+                for agent in AGENTS:
+                    found[f"{agent} {k}"] = self.folder.checkpoint(agent, k).read_bytes()
+                found[f"evaluation {k}"] = self.folder.evaluation(k).read_bytes()
             if k:
                 found[f"deployment {k}"] = [
                     step_bytes(step) for step in read_steps(self.folder.deployment(k))

@@ -77,6 +77,11 @@ def _stub() -> types.ModuleType:
             self._state = digest(self._state, self._seen(data))
             self.tuned, self._expected = deployment, deployment
 
+        def revert(self, path) -> None:  # type: ignore[no-untyped-def]
+            tuned = self.tuned
+            self.load(path)
+            self.tuned = tuned
+
         def restore(self, online) -> None:  # type: ignore[no-untyped-def]
             self._expected += len(online)
 

@@ -1,0 +1,70 @@
+"""`launch approve RUN`: let the deployment begin that waits for a person."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from otc_dist.errors import UserError
+from otc_dist.parser import Parser
+from otc_dist.run_folder import RunFolder
+
+from .run_record import RunRecord
+
+
+def main(argv: list[str]) -> int:
+    """Approve it. Returns the exit status.
+
+    Raises:
+        UserError: not a run's folder, nothing waits there, or it cannot be written.
+    """
+    parser = Parser(
+        prog="python -m otc_dist.launch approve",
+        description="Let the deployment begin for which a run waits (deployment.approve).",
+        allow_abbrev=False,
+    )
+    parser.add_argument("run", type=Path, help="the run folder, on the machine of the env host")
+    folder = RunFolder(parser.parse_args(argv).run.resolve())
+    RunRecord.read(folder)  # a folder without a record is not a run's
+    told = waiting(folder)
+    if told is None:
+        raise UserError(f"{folder.root} waits for nobody now")
+    approval = folder.root / told["approve_by"]
+    try:
+        approval.touch()
+    except OSError as error:
+        raise UserError(f"cannot write {approval}: {error.strerror}") from None
+    print(f"approved: deployment {told['deployment']}, by policy {told['policy']}")
+    return 0
+
+
+def waiting(folder: RunFolder) -> dict[str, Any] | None:
+    """For what the env host waits, as it says itself; None: for nobody.
+
+    Raises:
+        UserError: the file is damaged.
+    """
+    try:
+        told = json.loads(folder.waiting.read_text(encoding="utf-8"))
+        if {"waits_for", "deployment", "policy", "approve_by"} <= told.keys():
+            return dict(told)
+        raise ValueError("it lacks a part")
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, AttributeError) as error:
+        raise UserError(f"{folder.waiting} is damaged: {error}") from None
+
+
+def waiting_lines(folder: RunFolder) -> list[str]:
+    """For what it waits, with what is known of the policies, and how to let it begin."""
+    told = waiting(folder)
+    if told is None:
+        return []
+    line, measured = f"waits for {told['waits_for']}", told.get("measured")
+    if measured:
+        line += (
+            f"; deployment {measured['deployment']} measured {measured['mean']:,.1f} ±"
+            f" {measured['error']:,.1f}"
+        )
+    if told.get("greedy_return") is not None:
+        line += f"; its greedy return is {told['greedy_return']:,.1f}"
+    return [line, f"approve with: python -m otc_dist.launch approve {folder.root}"]

@@ -1,0 +1,144 @@
+"""What a run keeps, refuses to keep, and asks a person, by the launcher."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from otc_dist.errors import UserError
+from otc_dist.launch import descriptions, resolve
+from otc_dist.launch.__main__ import main
+from otc_dist.run_folder import RunFolder
+
+from .conftest import Launcher
+
+Launch = Callable[..., Launcher]
+
+
+def settled(*assignments: str, name: str = "3agent_hopper") -> str | None:
+    chosen = descriptions.load(name, assignments, None, quick=True)
+    return resolve.resolve(chosen).deployment.keep
+
+
+@pytest.mark.parametrize(
+    ("assignments", "kept"),
+    [
+        ((), "best"),
+        (("deployment.keep=last",), "last"),
+        (("deployment.exploration=sequential",), "last"),
+        (("env.copies=1",), "last"),  # one episode may last until the end
+        (("env.copies=1", "deployment.keep=best"), "best"),
+        (("env.copies=1", "deployment.transitions=2000"), "best"),  # no episode lasts that long
+    ],
+)
+def test_the_best_is_kept_where_that_is_sure_to_work(
+    assignments: tuple[str, ...], kept: str
+) -> None:
+    assert settled(*assignments) == kept
+
+
+@pytest.mark.parametrize("name", ["predator_prey", "navigation", "5m_vs_6m", "1agent_hopper"])
+def test_tasks_with_one_reward_for_all_keep_the_best(name: str) -> None:
+    assert settled("deployment.exploration=none", name=name) == "best"
+
+
+SHORT = ("env.copies=1", "deployment.transitions=1")
+
+
+@pytest.mark.parametrize(
+    ("assignments", "said"),
+    [
+        ((*SHORT, "deployment.keep=best"), "deployment.keep = 'best' needs 2 episodes"),
+        ((*SHORT, "deployment.floor=1"), "deployment.floor needs 2 episodes"),
+        (("env.copies=1", "deployment.revert=true"), "may hold too few episodes"),
+        (("deployment.revert=true", "deployment.keep=last"), "revert needs keep = 'best'"),
+        (
+            ("deployment.keep=best", "deployment.exploration=sequential"),
+            "keep = 'best' needs exploration = 'none'",
+        ),
+        (
+            ("deployment.floor=1", "deployment.exploration=sequential"),
+            "floor needs exploration = 'none'",
+        ),
+        (("deployment.floor=low",), "deployment.floor: input should be a valid number"),
+        (("deployment.floor=nan",), "deployment.floor: input should be a finite number"),
+        (("deployment.keep=first",), "unknown deployment.keep 'first'; known: best, last"),
+    ],
+)
+def test_what_cannot_be_kept_is_one_line_before_anything_runs(
+    assignments: tuple[str, ...], said: str
+) -> None:
+    with pytest.raises(UserError) as refused:
+        settled(*assignments)
+    assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+def dry(capsys: pytest.CaptureFixture[str], *assignments: str) -> str:
+    flags = [part for assignment in assignments for part in ("--set", assignment)]
+    assert main(["3agent_hopper", "--quick", "--dry-run", *flags]) == 0
+    return capsys.readouterr().out
+
+
+def test_a_dry_run_tells_what_is_kept_and_counts_the_confirmation(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long = ("deployment.transitions=200000", "deployment.updates=1")  # where it shows
+    plain, confirmed = dry(capsys, *long), dry(capsys, *long, "deployment.confirm=true")
+    assert "the best deployed policy is recommended\n" in plain
+    assert "one deployment more, of the last tuned policy" not in plain
+    assert "one deployment more, of the last tuned policy" in confirmed
+
+    def line(text: str, word: str) -> str:
+        return next(line for line in text.splitlines() if line.startswith(word))
+
+    for word in ("disk", "time"):
+        assert line(plain, word) != line(confirmed, word)
+    told = dry(capsys, "deployment.floor=2.5", "deployment.approve=true", "deployment.revert=true")
+    for said in ("measures less than 2.5", "a person approves each", "tuning goes on from it"):
+        assert said in told
+
+
+def test_nobody_is_waited_for_in_a_folder_of_no_run_or_of_one_that_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(UserError, match="is no run folder"):
+        main(["approve", str(tmp_path)])
+
+
+@pytest.mark.slow
+def test_a_run_whose_deployments_a_person_approves(
+    launch: Launch,
+    tmp_path: Path,
+    tiny_flags: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    asked = ("--set", "deployment.approve=true", "--set", "deployment.confirm=true")
+    launcher = launch("3agent_hopper", *tiny_flags, *asked, "--out", "run")
+    for k in (1, 2, 3):
+        line = launcher.read_until(lambda line: line.startswith("waits for"))
+        assert f"waits for a person's approval of deployment {k}, by policy {k - 1}" in line
+        assert (f"deployment {k - 1} measured" in line) is (k > 1)
+        said = launcher.read_until(lambda line: line.startswith("approve with: "))
+        assert said == f"approve with: python -m otc_dist.launch approve {folder.root}"
+        capsys.readouterr()
+        assert main(["status", str(folder.root)]) == 0
+        assert said in capsys.readouterr().out
+        assert main(["status", str(folder.root), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["waiting"]["deployment"] == k
+        assert main(["approve", str(folder.root)]) == 0
+        assert f"approved: deployment {k}, by policy {k - 1}" in capsys.readouterr().out
+    assert launcher.finish() == 0, launcher.text
+    results = json.loads(folder.results.read_text())
+    assert results["complete"] and results["deployments"] == 3
+    kept = results["recommended"]
+    assert launcher.lines[-2].startswith(
+        f"recommended: the policy of deployment {kept['deployment']}"
+        f" (agents/*/checkpoint_{kept['policy']:02d}.safetensors), measured"
+    )
+    for agent in ("agent_0", "agent_1", "agent_2"):
+        told = json.loads(folder.recommended(agent).read_text())
+        assert (told["deployment"], told["policy"]) == (kept["deployment"], kept["policy"])
+    with pytest.raises(UserError, match="waits for nobody now"):
+        main(["approve", str(folder.root)])
