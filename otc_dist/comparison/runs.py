@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from math import isfinite
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from otc_dist import team
 from otc_dist.comparison.arms import describe, of_seed
@@ -26,9 +28,11 @@ from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.exploration import Schedule
+from otc_dist.keeping import reverted
 from otc_dist.learner import Learner, Progress
 from otc_dist.measured import Measured, horizon
 from otc_dist.processor import processor
+from otc_dist.run_folder import RunFolder
 from otc_dist.transitions import JointStep
 
 Tell = Callable[[float, str], None]  # share of the job that is done, and where it stands
@@ -85,16 +89,20 @@ def run_arm(
     evaluations, told = [first], []
     measured: list[Measured | None] = []
     count, h = description.deployment.count, _horizon(description)
-    for k in range(1, count + 1):
+    with TemporaryDirectory() as scratch:
+        earlier = RunFolder(Path(scratch))
+        for k in range(1, count + 1):
 
-        def tell_of_k(share: float, where: str, k: int = k) -> None:
-            tell((k - 1 + share) / count, f"{where} {k} of {count}")
+            def tell_of_k(share: float, where: str, k: int = k) -> None:
+                tell((k - 1 + share) / count, f"{where} {k} of {count}")
 
-        tell_of_k(0.0, "deployment")
-        steps = team.deploy(learners, k)
-        measured.append(_measured(steps, h))
-        told.append(_tune(learners, k, steps, tell_of_k))
-        evaluations.append(_evaluate(learners, k))
+            tell_of_k(0.0, "deployment")
+            steps = team.deploy(learners, k)
+            measured.append(_measured(steps, h))
+            if description.deployment.revert:
+                _revert(learners, k, measured, earlier)
+            told.append(_tune(learners, k, steps, tell_of_k))
+            evaluations.append(_evaluate(learners, k))
     run = Run(
         arm=arm,
         seed=seed,
@@ -148,6 +156,27 @@ def _measured(steps: Sequence[JointStep], h: int) -> Measured | None:
         return team.measured(steps, h)
     except UserError:
         return None
+
+
+def _revert(
+    learners: Sequence[Learner],
+    deployment: int,
+    measured: Sequence[Measured | None],
+    earlier: RunFolder,
+) -> None:
+    """Keep pi_{k-1} in the folder `earlier`, and take up the best deployed policy again.
+
+    Raises:
+        UserError: a deployment could not be measured.
+    """
+    known = [one for one in measured if one is not None]
+    if len(known) < len(measured):
+        raise UserError("deployment.revert needs deployments long enough to be measured")
+    best = reverted(known)
+    for learner in learners:
+        learner.save(earlier.checkpoint(learner.spec.name, deployment - 1))
+        if best is not None:
+            learner.revert(earlier.checkpoint(learner.spec.name, best))
 
 
 def _tune(
