@@ -45,7 +45,7 @@ class DynamicsDistance:
         extent = held.extent
         matched = matched_size(self.layout)
         inputs, residual = apart(held.data.features[: extent.size], matched)
-        residual = residual.clone()
+        corrected = residual.clone()
         newest = torch.arange(extent.size, device=inputs.device) >= extent.newest
         folds = held.data.folds[: extent.size]
         # In the same half f_B's network is the same; of D_k's own rows the other half's c_k judges.
@@ -55,8 +55,8 @@ class DynamicsDistance:
             network = self._correction(held, inputs[mine], residual[mine], fold)
             if network is not None:
                 (judged,) = (judge == fold).nonzero(as_tuple=True)
-                residual[judged] -= self._regression.predict(network, inputs, judged)
-        return Scores(residual.square().sum(1))
+                corrected[judged] -= self._regression.predict(network, inputs, judged)
+        return Scores(corrected.square().sum(1))
 
     @property
     def _regression(self) -> Regression:

@@ -1,0 +1,95 @@
+"""Which transitions are accepted, given their scores: by share and by conformal p-values."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from otc_dist.description import SamplingSection
+from otc_dist.otc.acceptance import ACCEPTANCES, conformal, share
+from otc_dist.otc.distances.interface import Scores
+from otc_dist.otc.samplers import Data, Extent, Held
+
+from .held import held_by
+
+EXTENT = Extent(offline=900, newest=950, size=1000)
+BATCH = 64
+
+
+class Given:
+    """Scores that the test gives; those of D_k as if they were not there are 10 higher."""
+
+    def __init__(self, scores: np.ndarray) -> None:
+        self.values = torch.from_numpy(scores)
+
+    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+        values = self.values.clone()
+        if exclude_self:
+            values[EXTENT.newest :] += 10
+        return Scores(values)
+
+
+def drawn(acceptance: str, scores: np.ndarray, **settings: Any) -> np.ndarray:
+    """How often each row is drawn in 2,000 batches."""
+    section = SamplingSection(acceptance=acceptance, **settings)
+    sampler = ACCEPTANCES[acceptance](Given(scores), section, BATCH)
+    rows = torch.zeros(1200, 3)
+    random = np.random.default_rng(0)
+    begun = sampler.begin(held_by({}, Data(rows, rows[:, :0]), EXTENT, random))
+    indices = sampler.draw(random, 2000, EXTENT)
+    counts = np.zeros(EXTENT.size, np.int64)
+    for update in range(2000):
+        draws = {name: torch.from_numpy(array[update]) for name, array in indices.items()}
+        chosen = sampler.select({}, sampler.gather({}, begun.data, draws), draws)
+        assert chosen.rows.shape == (BATCH,) and torch.equal(chosen.rows, chosen.imitated)
+        counts += np.bincount(chosen.rows.numpy(), minlength=EXTENT.size)
+    return counts
+
+
+def test_the_best_share_and_the_newest_data_are_drawn_alike_and_nothing_else() -> None:
+    scores = np.random.default_rng(1).permutation(1000).astype(np.float64)
+    counts = drawn("share", scores, share=0.2)
+    accepted = (scores < 200) | (np.arange(1000) >= EXTENT.newest)
+    assert not counts[~accepted].any()
+    assert stats.chisquare(counts[accepted]).pvalue > 1e-3
+
+
+def test_of_equal_scores_exactly_the_share_is_accepted() -> None:
+    weights = share.weights(SamplingSection(share=0.25), torch.zeros(1000), EXTENT)
+    assert weights.sum() == 250
+
+
+def test_conformal_accepts_by_the_p_value_among_the_newest_data() -> None:
+    random = np.random.default_rng(2)
+    scores = np.concatenate([random.random(950) * 2, random.random(50) - 10])  # held out: 0 to 1
+    counts = drawn("conformal", scores, level=0.2)
+    held_out = np.sort(scores[950:] + 10)
+    p = (1 + (held_out[None] >= scores[:950, None]).sum(1)) / 51
+    expected = np.concatenate([np.minimum(1, p / 0.2), np.ones(50)])
+    assert stats.chisquare(counts, expected / expected.sum() * counts.sum()).pvalue > 1e-3
+    assert (p < 0.2).sum() > 300  # the test says something
+
+
+@pytest.mark.parametrize("level", [0.01, 0.1])
+def test_conformal_accepts_nearly_everything_where_nothing_differs(level: float) -> None:
+    scores = torch.from_numpy(np.random.default_rng(3).exponential(size=10_000))
+    extent = Extent(offline=9000, newest=9000, size=10_000)
+    weights = conformal.weights(SamplingSection(level=level), scores, extent)
+    assert weights[:9000].mean() > 1 - level
+
+
+def test_a_batch_holds_as_much_online_data_as_described() -> None:
+    from .test_samplers import one_update, setting
+
+    section = SamplingSection(name="uniform", online_share=0.5)
+    from otc_dist.otc import create_sampler
+
+    sampler = create_sampler(setting(section), 450)
+    for seed in range(20):
+        draws = one_update(sampler, seed, 0.0)
+        chosen = sampler.select({}, {}, draws)
+        assert chosen.rows.shape == (16,)
+        assert (chosen.rows[8:] >= 300).all()  # D_1 .. D_k
+        assert (chosen.rows[:8] < 300).any()
