@@ -30,11 +30,12 @@ from otc_dist.engine import Engine, resolve
 from otc_dist.errors import UserError
 from otc_dist.experience import Experience
 from otc_dist.exploration import explore
+from otc_dist.fits import Fits
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
-from otc_dist.otc.distances import create_features
-from otc_dist.otc.distances.interface import Features, Setting
-from otc_dist.otc.samplers import Begun, Held, Sampler, Uniform
+from otc_dist.otc.distances.interface import Setting
+from otc_dist.otc.offline import offline_sampler, prepared
+from otc_dist.otc.samplers import Begun, Held, Sampler
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec, Task
 from otc_dist.trainer import Phase, Trainer, improvements
@@ -97,27 +98,24 @@ class Learner:
         updates = description.offline.updates + deployments.count * deployments.updates
         self._engine = Engine(resolve(description.engine.name, updates))
 
-        algorithm, sampling = description.algorithm, description.sampling
+        algorithm = description.algorithm
         self._scale = ActionScale(spec)
         self._layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
         self._algorithm = create(algorithm, spec, task)
         critic = self._algorithm if isinstance(self._algorithm, Critic) else None
         setting = Setting(description, self._layout, critic)
-        own = [sampling.distance] if sampling.name == "otc" else []
-        made = [create_features(name, setting, self._engine) for name in (*own, *fits)]
-        # By name: d_f and `typical` share what they fit.
-        self._fits = {features.name: features for features in reversed(made) if features}
-        self._features = made[0] if own else None
+        self._fits = Fits(setting, self._engine, fits)
         self._experience = Experience(
             self._layout,
             self._scale,
             data,
             deployments.count * deployments.transitions,
-            self._features,
+            self._fits.own,
             self._engine.device,
             folded=bool(self._fits),
         )
         self._improvements = improvements(self._algorithm)
+        self._offline_sampler = offline_sampler(setting)
         self._sampler = sampler or create_sampler(setting, self._experience.capacity)
         offline = unpack(self._experience.offline.cpu(), self._layout)
         initial = self._algorithm.initial_state(self._stream("initial"), offline)
@@ -138,7 +136,7 @@ class Learner:
                 self._engine,
                 self._stream,
             )
-            for sampler in (Uniform(algorithm.batch_size), self._sampler)
+            for sampler in (self._offline_sampler, self._sampler)
         )
 
     @property
@@ -162,35 +160,24 @@ class Learner:
             if (done % SAVE_EVERY == 0 or done == updates) and done < total and done <= updates:
                 save()
 
+        def on_fit(name: str, done: int, of: int, metrics: dict[str, float]) -> None:
+            report(Progress(name, 0, done, of, metrics))
+
         if self._offline_updates < total:
+            data = self._experience.data
+            if self.description.offline.rows == "typical":
+                self._fits.train(self._experience, self._stream, on_fit, "dynamics")
+                forward = self._fits.of("dynamics")
+                data = prepared(self._offline_sampler, self._held(0), forward)
             # Offline training is common to all minibatch keys.
             phase = Phase("offline", 0, 0, self._alpha.value)
             span = (self._offline_updates, updates)
             self._state = self._offline.train(
-                self._state,
-                self._experience.data,
-                self._experience.extent,
-                phase,
-                span,
-                on_block,
+                self._state, data, self._experience.extent, phase, span, on_block
             )
             self._offline_updates = total
-        for features in self._fits.values():
-            if features.state is None:
-                self._fit(features, report)
+        self._fits.train(self._experience, self._stream, on_fit)
         self.tuned = max(self.tuned, 0)
-
-    def _fit(self, features: Features, report: Report) -> None:
-        name, total = features.name, features.updates
-        rows, folds = self._experience.offline, self._experience.folds
-        features.fit(
-            rows,
-            folds[: len(rows)],
-            lambda *key: self._stream(name, *key),
-            lambda done, metrics: report(Progress(name, 0, done, total, metrics)),
-        )
-        if features is self._features:
-            self._experience.embed()
 
     def act(
         self,
@@ -267,15 +254,8 @@ class Learner:
 
     def _begin(self, deployment: int) -> Begun:
         """What the sampler prepares, and alpha by Eq. 4 where there is one."""
-        held = Held(
-            self._state,
-            self._experience.data,
-            self._experience.extent,
-            self._engine,
-            lambda purpose, *key: self._stream(purpose, deployment, *key),
-        )
         with torch.no_grad():
-            begun = self._sampler.begin(held)
+            begun = self._sampler.begin(self._held(deployment))
         if (similarity := begun.measured.get("similarity")) is None:
             return begun
         sampling = self.description.sampling
@@ -285,6 +265,15 @@ class Learner:
                 log.warning("sampling.alpha_bound binds: alpha is %g", self._alpha.value)
         return begun._replace(measured={"alpha": self._alpha.value, **begun.measured})
 
+    def _held(self, deployment: int) -> Held:
+        return Held(
+            self._state,
+            self._experience.data,
+            self._experience.extent,
+            self._engine,
+            lambda purpose, *key: self._stream(purpose, deployment, *key),
+        )
+
     def policy_digest(self) -> str:
         """16 hexadecimal digits that identify the policy and all that updates it, to the bit."""
         return checkpoint.digest(self._arrays("algorithm", self._state))
@@ -292,9 +281,8 @@ class Learner:
     def save(self, path: Path) -> None:
         """Write a checkpoint, atomically. Raises UserError if it cannot be written."""
         arrays = self._arrays("algorithm", self._state)
-        for features in self._fits.values():
-            if features.state is not None:
-                arrays |= self._arrays(features.name, features.state)
+        for name, state in self._fits.states().items():
+            arrays |= self._arrays(name, state)
         checkpoint.write(path, arrays, self._progressed())
 
     def load(self, path: Path) -> None:
@@ -312,14 +300,8 @@ class Learner:
         self._state = to_tensors(states["algorithm"], self._engine.device)
         self._offline_updates = found.offline_updates
         self.tuned = found.tuned
-        for features in self._fits.values():
-            if fitted := states.get(features.name):
-                features.state = to_tensors(fitted, self._engine.device)
-            elif features.updates:
-                self.tuned = -1
-            else:
-                self._fit(features, lambda progress: None)
-        self._experience.embed()
+        if not self._fits.load(states, self._experience, self._stream):
+            self.tuned = -1
         if found.tuned > 0:
             self._alpha = Alpha(found.alpha, found.similarity)
 

@@ -105,7 +105,7 @@ def updates(learner: Learner, count: int) -> list[np.ndarray]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arm", ["otc-embedding", "otc-value", "balanced"])
+@pytest.mark.parametrize("arm", ["otc-embedding", "otc-value", "dynamics-share", "balanced"])
 def test_compiled_equals_eager(arm: str) -> None:
     """20 updates in float32: longer, and rounding grows."""
     runs = []
@@ -114,8 +114,8 @@ def test_compiled_equals_eager(arm: str) -> None:
         learner = brain(*ARMS[arm], *size, "offline.updates=0")
         learner.pretrain(silent, unsaved)  # eagerly: the same embedding
         compiled = brain(*ARMS[arm], *size, "offline.updates=0", f"engine.name={name}")
-        if learner._features and compiled._features:
-            compiled._features.state = learner._features.state
+        if learner._fits.own and compiled._fits.own:
+            compiled._fits.own.state = learner._fits.own.state
         compiled.pretrain(silent, unsaved)
         compiled._experience.merge(online(1))
         compiled._experience.embed()

@@ -149,6 +149,12 @@ class OfflineSection(Section):
     """Offline training to pi_0. Targets with tau 0.005 settle in tens of thousands of updates."""
 
     updates: int = Field(default=100_000, ge=0, description="offline updates to pi_0")
+    rows: Literal["all", "typical"] = Field(
+        default="all",
+        description="typical: values are learned from those whose s' is nearest to what a forward"
+        " model of B_0 expects; what imitates the data sees all",
+    )
+    share: float = Field(default=0.1, gt=0, le=1, description="of B_0 that counts as typical")
     policies: str = Field(
         default="",
         description="digest of policies pi_0 taken from another run, set by --from; empty: trained",

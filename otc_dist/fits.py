@@ -1,0 +1,109 @@
+"""What an agent's distances fit to B_0, once, before its first deployment."""
+
+from collections.abc import Callable, Iterable, Mapping
+
+import numpy as np
+
+from otc_dist import checkpoint
+from otc_dist.algorithms.draws import to_tensors
+from otc_dist.algorithms.interface import State
+from otc_dist.description import Description
+from otc_dist.engine import Engine
+from otc_dist.experience import Experience
+from otc_dist.otc.distances import create_features
+from otc_dist.otc.distances.interface import Features, Setting
+
+Report = Callable[[str, int, int, dict[str, float]], None]  # of which, updates done, of how many
+
+
+class Fits:
+    """The fits that a description needs, and further ones that its checkpoints shall hold.
+
+    Args:
+        further: distances that other descriptions use, which start from the same policy.
+
+    Attributes:
+        own: what the description's own distance keeps of every transition; None: nothing.
+    """
+
+    def __init__(self, setting: Setting, engine: Engine, further: Iterable[str] = ()) -> None:
+        self._engine = engine
+        compared = compared_by(setting.description)
+        first = ("typical",) if setting.description.offline.rows == "typical" else ()
+        self._fits: dict[str, Features] = {}  # by their own names: d_f and `typical` share theirs
+        self.own: Features | None = None
+        for distance in (*first, *([compared] if compared else []), *further):
+            features = create_features(distance, setting, engine)
+            if features:
+                features = self._fits.setdefault(features.name, features)
+            if distance == compared:
+                self.own = features
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to fit."""
+        return bool(self._fits)
+
+    def of(self, name: str) -> Features:
+        """The fit of that name."""
+        return self._fits[name]
+
+    def train(
+        self,
+        experience: Experience,
+        stream: Callable[..., np.random.Generator],
+        report: Report,
+        *names: str,
+    ) -> None:
+        """Fit what is missing among `names`, or among all without names."""
+        for name in names or self._fits:
+            features = self._fits[name]
+            if features.state is None:
+                self._train(features, experience, stream, report)
+
+    def _train(
+        self,
+        features: Features,
+        experience: Experience,
+        stream: Callable[..., np.random.Generator],
+        report: Report,
+    ) -> None:
+        name, rows = features.name, experience.offline
+        features.fit(
+            rows,
+            experience.folds[: len(rows)],
+            lambda *key: stream(name, *key),
+            lambda done, metrics: report(name, done, features.updates, metrics),
+        )
+        if features is self.own:
+            experience.embed()
+
+    def states(self) -> dict[str, State]:
+        """Name -> what was fitted, as a checkpoint keeps it."""
+        return {name: f.state for name, f in self._fits.items() if f.state is not None}
+
+    def load(
+        self,
+        parts: Mapping[str, checkpoint.Arrays],
+        experience: Experience,
+        stream: Callable[..., np.random.Generator],
+    ) -> bool:
+        """Take over the parts of a checkpoint; whether none is missing that must be trained."""
+        complete = True
+        for name, features in self._fits.items():
+            if name in parts:
+                features.state = to_tensors(parts[name], self._engine.device)
+            elif features.updates:
+                complete = False
+            else:  # it takes no time
+                self._train(features, experience, stream, _untold)
+        experience.embed()
+        return complete
+
+
+def _untold(name: str, done: int, of: int, metrics: dict[str, float]) -> None:
+    pass
+
+
+def compared_by(description: Description) -> str | None:
+    """The distance that the described sampler uses; None: it uses none."""
+    return description.sampling.distance if description.sampling.name == "otc" else None

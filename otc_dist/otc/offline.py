@@ -1,0 +1,35 @@
+"""From which rows of B_0 values are learned offline: all, or those that are typical of it."""
+
+import torch
+
+from otc_dist.otc.acceptance import share
+from otc_dist.otc.acceptance.weighted import Weighted
+from otc_dist.otc.distances.interface import Features, Setting
+from otc_dist.otc.distances.typical import TypicalDistance
+from otc_dist.otc.mixing import ImitatingAll
+from otc_dist.otc.samplers import Data, Held, Sampler, Uniform
+
+
+def offline_sampler(setting: Setting) -> Sampler:
+    """Uniform, or with `offline.rows = "typical"` the best `offline.share` of B_0 by the residual
+    of its forward model, for values alone.
+    """
+    description, batch = setting.description, setting.description.algorithm.batch_size
+    if description.offline.rows == "all":
+        return Uniform(batch)
+    section = description.sampling.model_copy(update={"share": description.offline.share})
+    best = Weighted(section, batch, TypicalDistance(setting.layout), share.weights)
+    return ImitatingAll(best, batch)
+
+
+def prepared(sampler: Sampler, held: Held, forward: Features) -> Data:
+    """B_0 as the typical rows of it are drawn.
+
+    Args:
+        forward: the forward model, fitted.
+    """
+    data, size = held.data, held.extent.size
+    features = torch.empty(size, forward.size, device=data.rows.device)
+    forward.embed(data.rows[:size], data.folds[:size], features)
+    alone = held.extent._replace(newest=size)  # nothing of it is online
+    return sampler.begin(held._replace(data=data._replace(features=features), extent=alone)).data
