@@ -26,7 +26,7 @@ class Judge:
         self._name, self._fetch = name, fetch
         self._folder, self._settings = run.folder, run.description.deployment
         self._steps, self._copies = run.schedule.steps, run.description.env.copies
-        self._h = horizon(self._steps, run.team.max_episode_steps)
+        self._h = horizon(self._steps, self._copies, run.team.max_episode_steps)
         self._measured: dict[int, Measured] = {}
 
     @property

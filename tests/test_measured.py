@@ -88,10 +88,11 @@ def test_two_are_enough() -> None:
     assert measure(_counted(10, 1), ends, np.zeros_like(ends), h=5).episodes == 2
 
 
-def test_h_is_half_the_deployment_or_the_longest_episode() -> None:
-    assert measured.horizon(500, 1000) == 250
-    assert measured.horizon(500, 100) == 100
-    assert measured.horizon(1, 100) == 1
+def test_h_is_the_deployment_or_the_longest_episode() -> None:
+    assert measured.horizon(500, 4, 1000) == 500
+    assert measured.horizon(500, 4, 100) == 100
+    assert measured.horizon(500, 1, 1000) == 250  # room for a second episode of a single copy
+    assert measured.horizon(1, 1, 100) == 1
 
 
 @pytest.mark.parametrize(
@@ -111,7 +112,7 @@ def test_what_can_be_known_before_a_deployment(
     assert measured.certain(steps, copies, longest) is certain
     assert measured.possible(steps, copies) is possible
     # The policy under which the fewest episodes begin, and the one under which the most do.
-    h, nothing = measured.horizon(steps, longest), np.zeros((steps, copies), bool)
+    h, nothing = measured.horizon(steps, copies, longest), np.zeros((steps, copies), bool)
     for every, enough in ((longest, certain), (1, possible)):
         ends = nothing.copy()
         ends[every - 1 :: every] = True

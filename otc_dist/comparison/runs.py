@@ -147,7 +147,7 @@ def _horizon(description: Description) -> int:
     """Steps of an episode that count where a deployment judges its policies."""
     spec = registry.team_spec(description.env.id)
     steps = Schedule.of(description, len(spec.agents)).steps
-    return horizon(steps, spec.max_episode_steps)
+    return horizon(steps, description.env.copies, spec.max_episode_steps)
 
 
 def _measured(steps: Sequence[JointStep], h: int) -> Measured | None:

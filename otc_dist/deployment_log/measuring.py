@@ -26,7 +26,7 @@ def read_measured(path: Path) -> tuple[int, Measured]:
             own = [log.layout.transitions(rows, agent) for agent in agents]
             rewards = team_rewards([each.rewards for each in own])
             parts.append((rewards, own[0].terminated, own[0].truncated))
-        h = horizon(log.steps(), log.header.team.max_episode_steps)
+        h = horizon(log.steps(), copies, log.header.team.max_episode_steps)
     shape = (-1, copies)
     return h, measure(
         np.concatenate([rewards for rewards, _, _ in parts]).reshape(shape),
