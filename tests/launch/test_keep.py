@@ -114,6 +114,23 @@ def test_nobody_is_waited_for_in_a_folder_of_no_run_or_of_one_that_goes_on(
         main(["approve", str(tmp_path)])
 
 
+@pytest.mark.slow
+def test_a_run_that_the_floor_ended_is_finished_and_says_so(
+    launch: Launch, tmp_path: Path, tiny_flags: tuple[str, ...]
+) -> None:
+    launcher = launch("3agent_hopper", *tiny_flags, "--set", "deployment.floor=1e6")
+    assert launcher.finish() == 0, launcher.text
+    *_, ended, kept, _ = launcher.lines
+    assert ended.startswith("no more deployments: deployment 1 measured")
+    assert ended.endswith("below deployment.floor = 1,000,000")
+    assert kept.startswith("recommended: the policy of deployment 1 (agents/*/checkpoint_00.")
+    assert "made again" not in launcher.text
+    folder = RunFolder(tmp_path / "runs" / "3agent_hopper-seed0")
+    results = json.loads(folder.results.read_text())
+    assert results["complete"] and results["deployments"] == 1
+    assert results["stopped"]["deployment"] == 1 and len(results["evaluations"]) == 2
+
+
 OWN = """
 from pathlib import Path
 import numpy as np
