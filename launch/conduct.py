@@ -154,10 +154,10 @@ def _discard_damaged(plan: Plan) -> str:
     Learners do not read what they have written, so nobody else would notice.
     """
     found = ""
+    count = plan.description.deployment.count  # unless the floor ended the deployments
+    tuned = sum(plan.folder.deployment(k).exists() for k in range(1, count + 1))
     for agent in plan.learners:
-        paths = [
-            plan.folder.checkpoint(agent, k) for k in range(plan.description.deployment.count + 1)
-        ]
+        paths = [plan.folder.checkpoint(agent, k) for k in range(tuned + 1)]
         for index, path in enumerate(paths):
             try:
                 checkpoint.read(path)

@@ -144,6 +144,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="python -m otc_dist.launch",
         description="Run a launch description: data, offline training, deployments, report.",
+        epilog="Other commands, with their own --help: compare, mechanism, status, approve, chaos.",
         allow_abbrev=False,
     )
     parser.add_argument(

@@ -93,15 +93,14 @@ class Gate:
             "measured": before and {"deployment": k - 1, **vars(before)},
             "greedy_return": self._greedy_return(k - 1),
         }
-        try:
+        try:  # a signal may end this at any moment: nobody waits any more then
             durable.write(waiting, (json.dumps(told, indent=1) + "\n").encode())
+            log.info("deployment %d waits for a person: %s", k, approval)
+            while not approval.exists():
+                time.sleep(_LOOK)
         except OSError as error:
             reason = os.strerror(error.errno) if error.errno else str(error)
             raise FailureError(f"cannot write {waiting}: {reason}") from None
-        log.info("deployment %d waits for a person: %s", k, approval)
-        try:
-            while not approval.exists():
-                time.sleep(_LOOK)
         finally:
             with suppress(OSError):
                 waiting.unlink()

@@ -49,6 +49,21 @@ def test_a_return_is_told_with_the_share_of_episodes_won() -> None:
     assert seen.drain_events()[-1] == "host: return 12.3, 46.9 % won"
 
 
+def test_what_a_deployment_measured_is_told_with_its_error() -> None:
+    seen = board()
+    seen.take(status("host", "deployment", 2, measured=2586.04, error=151.3), clock=0.0)
+    assert seen.drain_events()[-1] == "host: deployment 2 measured 2,586.0 ± 151.3"
+
+
+def test_nobody_knows_how_long_a_person_takes() -> None:
+    seen = board()
+    seen.take(status("agent_0", "ready", 2), clock=0.0)
+    seen.take(status("agent_1", "ready", 2), clock=0.0)
+    seen.take(status("host", "approval", 3), clock=0.0)
+    assert seen.drain_events()[-1] == "host: waiting for a person to approve deployment 3"
+    assert seen.seconds_left is None
+
+
 def test_the_time_to_go_is_that_of_the_slowest_agent() -> None:
     seen = board()
     seen.take(status("agent_0", "offline", update=50), clock=0.0)

@@ -38,9 +38,17 @@ def test_the_best_is_kept_where_that_is_sure_to_work(
     assert settled(*assignments) == kept
 
 
-@pytest.mark.parametrize("name", ["predator_prey", "navigation", "5m_vs_6m", "1agent_hopper"])
-def test_tasks_with_one_reward_for_all_keep_the_best(name: str) -> None:
-    assert settled("deployment.exploration=none", name=name) == "best"
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [
+        ("predator_prey", "best"),
+        ("5m_vs_6m", "best"),
+        ("1agent_hopper", "best"),
+        ("navigation", "last"),  # whose deployments are of different dynamics
+    ],
+)
+def test_tasks_with_one_reward_and_the_same_dynamics_keep_the_best(name: str, kept: str) -> None:
+    assert settled("deployment.exploration=none", name=name) == kept
 
 
 SHORT = ("env.copies=1", "deployment.transitions=1")
@@ -104,6 +112,86 @@ def test_nobody_is_waited_for_in_a_folder_of_no_run_or_of_one_that_goes_on(
 ) -> None:
     with pytest.raises(UserError, match="is no run folder"):
         main(["approve", str(tmp_path)])
+
+
+@pytest.mark.slow
+def test_a_run_that_the_floor_ended_is_finished_and_says_so(
+    launch: Launch, tmp_path: Path, tiny_flags: tuple[str, ...]
+) -> None:
+    launcher = launch("3agent_hopper", *tiny_flags, "--set", "deployment.floor=1e6")
+    assert launcher.finish() == 0, launcher.text
+    *_, ended, kept, _ = launcher.lines
+    assert ended.startswith("no more deployments: deployment 1 measured")
+    assert ended.endswith("below deployment.floor = 1,000,000")
+    assert kept.startswith("recommended: the policy of deployment 1 (agents/*/checkpoint_00.")
+    assert "made again" not in launcher.text
+    folder = RunFolder(tmp_path / "runs" / "3agent_hopper-seed0")
+    results = json.loads(folder.results.read_text())
+    assert results["complete"] and results["deployments"] == 1
+    assert results["stopped"]["deployment"] == 1 and len(results["evaluations"]) == 2
+
+
+OWN = """
+from pathlib import Path
+import numpy as np
+from gymnasium.spaces import Box
+from pettingzoo import ParallelEnv
+
+class Own(ParallelEnv):
+    metadata = {"name": "own"}
+    possible_agents, max_cycles = ["left", "right"], 10
+    def observation_space(self, agent): return Box(-1, 1, (2,))
+    def action_space(self, agent): return Box(-1, 1, (1,))
+    def reset(self, seed=None, options=None):
+        self.agents, self.count = list(self.possible_agents), 0
+        return self.look(), {name: {} for name in self.agents}
+    def look(self):
+        return {name: np.float32([self.count / 10, 1]) for name in self.possible_agents}
+    def step(self, actions):
+        self.count += 1
+        names, no = self.agents, dict.fromkeys(self.agents, False)
+        cut = dict.fromkeys(names, self.count == 10)
+        if self.count == 10:
+            self.agents = []
+        rewards = dict(zip(names, (1.0, 2.0 if Path('differ').exists() else 1.0)))
+        return self.look(), rewards, no, cut, {name: {} for name in names}
+
+def parallel_env(): return Own()
+"""
+
+
+@pytest.mark.slow
+def test_rewards_that_differ_are_noticed_in_the_data_and_in_a_deployment(
+    launch: Launch, tmp_path: Path, tiny_flags: tuple[str, ...]
+) -> None:
+    name = f"own_{tmp_path.name}"  # no test before this one has made its data
+    flags = ("navigation", "--set", f"env.id={name}:parallel_env", "--set", "dataset.name=random")
+    flags = (*flags, *tiny_flags, "--set", "sampling.name=uniform")
+    best = (*flags, "--set", "deployment.keep=best")
+
+    (tmp_path / f"{name}.py").write_text(OWN)
+    alike = launch(*best, "--out", "alike")
+    assert alike.finish() == 0, alike.text
+    assert any(line.startswith("recommended: the policy of deployment 1") for line in alike.lines)
+
+    (tmp_path / "differ").touch()
+    refused = launch(*best, "--out", "deployed")  # its data are those of before
+    assert refused.finish() == 2
+    assert "error: host: deployment.keep = 'best' needs one reward for all agents" in refused.text
+    assert "Traceback" not in refused.text
+
+    kept = launch(*flags, "--out", "kept")  # it may give different rewards: the last is kept
+    assert kept.finish() == 0, kept.text
+    assert any(line.startswith("recommended: the last tuned policy") for line in kept.lines)
+
+    other = launch(*best, "--set", "dataset.transitions=1204", "--out", "data")
+    assert other.finish() == 2
+    line = other.lines[-1]
+    assert line.startswith(
+        "error: deployment.keep = 'best' needs one reward for all agents, and in"
+    )
+    assert "left and right got different ones" in line
+    assert not any("offline" in line for line in other.lines)
 
 
 @pytest.mark.slow

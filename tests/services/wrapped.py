@@ -51,7 +51,7 @@ def _stub() -> types.ModuleType:
         return hashlib.blake2b(b"".join(parts), digest_size=32).digest()
 
     class Learner:
-        def __init__(self, description, spec, data, task) -> None:  # type: ignore[no-untyped-def]
+        def __init__(self, description, spec, data, task, place) -> None:  # type: ignore[no-untyped-def]
             self.tuned, self._spec, self._expected = -1, spec, 0
             self._state = digest(spec.name.encode(), data.observations.tobytes())
 
