@@ -53,7 +53,7 @@ def pools(
     """Each agent's rows of the same joint transitions, up to `wanted` of B_0 and D_1 together."""
     seed, dataset = description.seed, description.dataset
     tell(0.0, "deploying")
-    online = team.deploy(restored(folder, description), 1)
+    online = team.deploy(restored(folder.seed(seed), description), 1)
     joint = store.load_joint(dataset.name, dataset.transitions)
     offline, count = len(joint), len(joint) + description.deployment.transitions
     size = min(wanted, count)

@@ -1,15 +1,20 @@
+from pathlib import Path
+
 import pytest
 
 from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison.arms import (
     KNOWN,
     NULL,
+    ORACLE,
+    PERFECT,
     REFERENCE,
     describe,
     parse_arms,
     parse_seeds,
     usual,
 )
+from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 
@@ -69,9 +74,47 @@ def test_all_known_arms_share_the_offline_policy(base: Description) -> None:
     assert len({describe(base, a, 3).digest() for a in KNOWN.values()}) == len(KNOWN)
 
 
-def test_an_arm_that_changes_the_offline_policy_is_refused(base: Description) -> None:
-    with pytest.raises(UserError, match="arm greedy: an arm may not change how pi_0 is trained"):
-        arms_of.check(base, {"greedy": ("algorithm.discount=0.5",)})
+@pytest.mark.parametrize(
+    ("assignment", "told"),
+    [
+        ("evaluation.episodes=3", "may not change evaluation"),
+        ("dataset.name=random", "may not change dataset"),
+        ("env.copies=8", "may not change env"),
+        ("deployment.count=1", r"may not change deployment\.count"),
+    ],
+)
+def test_an_arm_that_changes_what_all_have_in_common_is_refused(
+    base: Description, assignment: str, told: str
+) -> None:
+    with pytest.raises(UserError, match=f"arm mine: an arm {told}"):
+        arms_of.check(base, {"mine": (assignment,)})
+
+
+def test_an_arm_that_changes_how_pi_0_is_trained_has_its_own(
+    base: Description, tmp_path: Path
+) -> None:
+    folder = ComparisonFolder(tmp_path)
+    arms_of.check(base, {"greedy": ("algorithm.discount=0.5",)})
+    places = {
+        name: arms_of.offline_files(folder, base, describe(base, assignments, 3)).root
+        for name, assignments in {
+            "uniform": KNOWN[REFERENCE],
+            "value": KNOWN["otc-value"],
+            "greedy": ("algorithm.discount=0.5",),
+            "longer": ("offline.updates=61",),
+            "greedy and corrected": ("algorithm.discount=0.5", *KNOWN["otc-value"]),
+        }.items()
+    }
+    assert places["uniform"] == places["value"] == folder.seed(3).root
+    assert places["greedy"] == places["greedy and corrected"]
+    assert len({places["uniform"], places["greedy"], places["longer"]}) == 3
+    assert places["greedy"].is_relative_to(folder.seed(3).root)
+
+
+def test_an_arm_of_ones_own_takes_no_analysis_name() -> None:
+    assert set(parse_arms("perfect,oracle")) == {PERFECT, ORACLE, REFERENCE, NULL}
+    with pytest.raises(UserError, match="perfect is an arm already"):
+        parse_arms("uniform", ["perfect=sampling.name=uniform"])
 
 
 def test_the_null_arm_differs_from_the_reference_by_its_minibatches_only(base: Description) -> None:

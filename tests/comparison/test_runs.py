@@ -11,6 +11,7 @@ from otc_dist import checkpoint, learner, team
 from otc_dist.comparison import runs
 from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, Arms, describe
 from otc_dist.comparison.scores import ComparisonFolder, Run, best_of
+from otc_dist.comparison.statistics import summarise
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.measured import Measured
@@ -51,7 +52,7 @@ def test_every_deployment_judges_the_policies_that_acted_in_it(
         assert len(run.measured) == base.deployment.count
         means = [one.mean if one else np.nan for one in run.measured]
         assert run.best == 1 + int(np.argmax(means))
-    deployed = team.deploy(runs.restored(finished, describe(base, KNOWN[REFERENCE], 0)), 1)
+    deployed = team.deploy(runs.restored(finished.seed(0), describe(base, KNOWN[REFERENCE], 0)), 1)
     rewards = np.array([step.rewards[0] for step in deployed], np.float64)
     ends = np.array([step.terminated | step.truncated for step in deployed])
     returns = [
@@ -142,6 +143,24 @@ def test_scores_of_other_policies_are_refused(
     mixed.offline(0).write_text(finished.offline(1).read_text())
     with pytest.raises(UserError, match="of other policies"):
         runs.run_arm(mixed, base, 0, "uniform", KNOWN[REFERENCE], VERSIONS, silent)
+
+
+def test_an_arm_that_trains_otherwise_begins_from_its_own_pi_0(
+    finished: ComparisonFolder, base: Description, scores: dict[tuple[int, str], Run]
+) -> None:
+    own = ("algorithm.discount=0.5", *KNOWN[REFERENCE])
+    for agent in ("agent_0", "agent_1", "agent_2"):
+        runs.train_offline(finished, base, 0, agent, silent, own)
+    runs.evaluate_offline(finished, base, 0, own)
+    before = finished.offline(0).read_bytes()
+    found = runs.run_arm(finished, base, 0, "greedy", own, VERSIONS, silent)
+    finished.run(0, "greedy").unlink()
+    shared = scores[0, REFERENCE]
+    assert finished.offline(0).read_bytes() == before
+    assert found.offline != shared.offline
+    assert found.evaluations[0].policies != shared.evaluations[0].policies
+    summary = summarise({REFERENCE: [shared], "greedy": [found]}, lambda value: None)
+    assert [arm.own_pi_0 for arm in summary.arms] == [False, True]
 
 
 @pytest.mark.parametrize(
