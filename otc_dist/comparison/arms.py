@@ -44,12 +44,12 @@ KNOWN: Arms = {
 }
 # What no learner can do: `analyses` makes these arms, and a single run cannot take them.
 ANALYSES: Arms = {PERFECT: ("sampling.name=uniform",), ORACLE: _of("random", *_SHARE)}
-_USUAL = ("dynamics-share", "typical-share", "random-share", REFERENCE)
+USUAL = ("dynamics-share", "typical-share", "random-share", REFERENCE)
 
 
 def usual(base: Description) -> str:
     """The arms of a comparison that names none, comma-separated."""
-    return ",".join(_USUAL)
+    return ",".join(USUAL)
 
 
 def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:
@@ -71,6 +71,22 @@ def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:
         if name not in known:
             raise unknown("arm", name, known)
     return {name: known[name] for name in dict.fromkeys([*names, *mine, REFERENCE, NULL])}
+
+
+def of_single_run(name: str) -> tuple[str, ...]:
+    """The assignments of an arm that a single run can take.
+
+    Raises:
+        UserError: an unknown name (the nearest is suggested), or one of an analysis.
+    """
+    if name in ANALYSES:
+        raise UserError(
+            f"arm {name} looks at all agents' data and policies, which no run may: it is an arm of"
+            " `launch compare` only"
+        )
+    if name not in KNOWN:
+        raise unknown("arm", name, KNOWN)
+    return KNOWN[name]
 
 
 def _parse_own(text: str) -> tuple[str, tuple[str, ...]]:
@@ -102,6 +118,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
 
 # What all arms have in common: else their episodes, or their deployments, cannot be compared.
 _COMMON = ("env", "dataset", "evaluation", "engine", "deployment.count", "seed")
+_SINGLE = ("confirm", "floor", "approve")  # settings that would end a run otherwise than others
 
 
 def describe(base: Description, assignments: Sequence[str], seed: int) -> Description:
@@ -140,6 +157,9 @@ def check(base: Description, arms: Mapping[str, Sequence[str]]) -> None:
     for name, assignments in arms.items():
         try:
             description = describe(base, assignments, 0)
+            for key in _SINGLE:
+                if getattr(description.deployment, key):
+                    raise UserError(f"deployment.{key} is for single runs: leave it out")
             if name in ANALYSES:
                 _check_analysis(name, description)
         except UserError as error:

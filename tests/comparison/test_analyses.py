@@ -45,7 +45,7 @@ class Prepared:
     def sampled(self, sampler: Sampler, rows: Tensor) -> tuple[Data, Tensor, Tensor]:
         """The data an update is given, and many chosen row numbers, for values and to imitate."""
         _, state = self.learners[1].policy
-        data = Data(rows, rows[:, :0], rows[:0, 0], rows[:0, 0])
+        data = Data(rows, rows[:, :0])
         random = np.random.default_rng(0)
         begun = sampler.begin(
             Held(state, data, self.extent, Engine("eager"), lambda *key: random)
@@ -147,4 +147,5 @@ def test_an_analysis_that_cannot_be_made_is_one_clear_line(
     base: Description, name: str, change: str, told: str
 ) -> None:
     with pytest.raises(UserError, match=f"arm {name}: .*{told}"):
-        check(base.with_assignments(change, "dataset.name=medium-replay"), parse_arms(name))
+        arms = parse_arms(name)
+        check(base.with_assignments(change, "deployment.keep=last"), arms)

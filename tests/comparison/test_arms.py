@@ -1,9 +1,11 @@
+import re
 from pathlib import Path
 
 import pytest
 
 from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison.arms import (
+    ANALYSES,
     KNOWN,
     NULL,
     ORACLE,
@@ -14,9 +16,11 @@ from otc_dist.comparison.arms import (
     parse_seeds,
     usual,
 )
+from otc_dist.comparison.meanings import MEANINGS
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.launch import compare, run_command
 
 
 def test_the_reference_and_the_null_arm_are_always_among_the_arms() -> None:
@@ -24,12 +28,11 @@ def test_the_reference_and_the_null_arm_are_always_among_the_arms() -> None:
     assert list(parse_arms("uniform,online-only")) == [REFERENCE, "online-only", NULL]
 
 
-def test_without_a_q_no_usual_arm_needs_one(base: Description) -> None:
-    assert "otc-value" in usual(base).split(",")
+def test_no_usual_arm_needs_a_q(base: Description) -> None:
     without = base.with_assignments("algorithm.name=bremen", "sampling.candidates=512")
-    names = usual(without)
-    assert "otc-value" not in names and "balanced" in names
-    arms_of.check(without, parse_arms(names))
+    arms_of.check(without, parse_arms(usual(without)))
+    with pytest.raises(UserError, match="arm otc-value: "):
+        arms_of.check(without, parse_arms("otc-value"))
 
 
 def test_an_unknown_arm_is_answered_with_the_nearest() -> None:
@@ -68,6 +71,7 @@ def test_bad_seeds_are_one_clear_line(text: str) -> None:
 
 
 def test_all_known_arms_share_the_offline_policy(base: Description) -> None:
+    base = base.with_assignments("deployment.transitions=400")  # enough for p-values
     arms_of.check(base, KNOWN)
     digests = {describe(base, a, 3).offline_digest() for a in KNOWN.values()}
     assert len(digests) == 1
@@ -88,6 +92,33 @@ def test_an_arm_that_changes_what_all_have_in_common_is_refused(
 ) -> None:
     with pytest.raises(UserError, match=f"arm mine: an arm {told}"):
         arms_of.check(base, {"mine": (assignment,)})
+
+
+def test_what_ends_a_run_otherwise_than_others_is_refused(base: Description) -> None:
+    for assignment in ("deployment.confirm=true", "deployment.floor=3", "deployment.approve=true"):
+        with pytest.raises(UserError, match="is for single runs"):
+            arms_of.check(base.with_assignments(assignment), parse_arms("uniform"))
+
+
+def test_every_arm_is_explained_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert set(MEANINGS) == set(KNOWN) | set(ANALYSES)
+    helps = {}
+    for command in (compare, run_command):
+        with pytest.raises(SystemExit):
+            command.main(["--help"])
+        helps[command] = capsys.readouterr().out
+    for name, meaning in MEANINGS.items():
+        line = re.compile(rf"^  {name} +{re.escape(meaning)}$", re.M)
+        assert line.search(helps[compare])
+        assert bool(line.search(helps[run_command])) == (name in KNOWN)
+
+
+def test_a_single_run_takes_an_arm(base: Description) -> None:
+    assert arms_of.of_single_run("rlpd") == KNOWN["rlpd"]
+    with pytest.raises(UserError, match="did you mean 'otc-embedding'"):
+        arms_of.of_single_run("otc-embeding")
+    with pytest.raises(UserError, match="arm perfect looks at all agents' data"):
+        arms_of.of_single_run("perfect")
 
 
 def test_an_arm_that_changes_how_pi_0_is_trained_has_its_own(
