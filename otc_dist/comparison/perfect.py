@@ -29,11 +29,15 @@ class Played(NamedTuple):
     ended: Bool  # (N,)
 
 
+def possible(env_id: str) -> bool:
+    """Whether the task's simulator can be set to an observed state."""
+    size = registry.team_spec(env_id).agents[0].observation_size
+    return registry.states_of(env_id, np.zeros((1, size), np.float32)) is not None
+
+
 def check(env_id: str) -> None:
     """Raises UserError for a task whose simulator cannot be set to an observed state."""
-    size = registry.team_spec(env_id).agents[0].observation_size
-    nothing = np.zeros((1, size), np.float32)
-    if registry.states_of(env_id, nothing) is None:
+    if not possible(env_id):
         raise UserError(
             "perfect correction needs a simulator whose state can be set from an observation, and"
             f" {env_id} has none: robots and particles have"

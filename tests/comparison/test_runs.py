@@ -3,6 +3,7 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from otc_dist.comparison.scores import ComparisonFolder, Run, best_of
 from otc_dist.comparison.statistics import summarise
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.learner import Learner
 from otc_dist.measured import Measured
 from otc_dist.processor import processor
 
@@ -161,6 +163,28 @@ def test_an_arm_that_trains_otherwise_begins_from_its_own_pi_0(
     assert found.evaluations[0].policies != shared.evaluations[0].policies
     summary = summarise({REFERENCE: [shared], "greedy": [found]}, lambda value: None)
     assert [arm.own_pi_0 for arm in summary.arms] == [False, True]
+
+
+def test_tuning_goes_back_to_the_best_policy_where_it_is_asked_to(
+    finished: ComparisonFolder, base: Description, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimates = iter([Measured(2.0, 0.1, 4), Measured(1.0, 0.1, 4)])
+    monkeypatch.setattr(team, "measured", lambda steps, h: next(estimates))
+    begun: list[dict[str, str]] = []
+    tune = Learner.tune
+
+    def noticed(learner: Learner, k: int, *rest: Any) -> None:
+        begun.append({learner.spec.name: learner.policy_digest()})
+        tune(learner, k, *rest)
+
+    monkeypatch.setattr(Learner, "tune", noticed)
+    assignments = (*KNOWN[REFERENCE], "deployment.revert=true")
+    found = runs.run_arm(finished, base, 0, "back", assignments, VERSIONS, silent)
+    finished.run(0, "back").unlink()
+    assert found.best == 1
+    first = found.evaluations[0].policies
+    assert all({name: first[name]} == one for name, one in zip(first, begun[3:], strict=True))
+    assert found.evaluations[1].policies != first
 
 
 @pytest.mark.parametrize(
