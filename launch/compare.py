@@ -62,7 +62,7 @@ def _show(arguments: argparse.Namespace) -> int:
         name = given[0] if given[0] == "description" else f"--{given[0]}"
         raise UserError(f"--tables shows what is in its folder: leave out {name}")
     found = collected.collect(arguments.tables)
-    print(f"{found.name}, {found.dataset}")
+    print(f"{found.name}, {found.dataset}; on {tables.processors(found.runs)}")
     print("\n".join(tables.text(summarise(found.runs, found.normalise))))
     return 0
 

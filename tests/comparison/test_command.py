@@ -12,6 +12,7 @@ from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.launch import compare, comparison_jobs, mechanism
+from otc_dist.processor import processor
 
 
 @pytest.mark.parametrize(
@@ -107,7 +108,7 @@ def test_tables_need_the_raw_scores_only(
     for folder in (kept, finished.root):
         assert compare.main(["--tables", str(folder)]) == 0
         out = capsys.readouterr().out
-        assert out.startswith("3agent_hopper, hopper-3x1/medium-replay")
+        assert out.startswith(f"3agent_hopper, hopper-3x1/medium-replay; on {processor()}\n")
         tables = out.split("\n", 1)[1].strip()
         assert tables in shown  # to the letter
         words = ("minus pi_0", "minus uniform", "by t", "IQM", "worst deployed policy")
