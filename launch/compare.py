@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from otc_dist.comparison import arms as arms_of
-from otc_dist.comparison import collected, report, tables
+from otc_dist.comparison import collected, meanings, report, tables
 from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.comparison.statistics import summarise
@@ -62,7 +62,7 @@ def _show(arguments: argparse.Namespace) -> int:
         name = given[0] if given[0] == "description" else f"--{given[0]}"
         raise UserError(f"--tables shows what is in its folder: leave out {name}")
     found = collected.collect(arguments.tables)
-    print(f"{found.name}, {found.dataset}")
+    print(f"{found.name}, {found.dataset}; on {tables.processors(found.runs)}")
     print("\n".join(tables.text(summarise(found.runs, found.normalise))))
     return 0
 
@@ -149,7 +149,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="python -m otc_dist.launch compare",
         description=_EXPLANATION,
-        epilog=f"known arms: {', '.join(arms_of.KNOWN)}",
+        epilog="\n".join(["arms:", *meanings.lines(analyses=True)]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.add_argument(
@@ -158,16 +159,16 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--arms",
         metavar="NAME,NAME",
-        help=f"arms to compare; {arms_of.REFERENCE} and {arms_of.NULL} are always among them"
-        " (default: OTC by d_e, and by d_q where there is a Q, Balanced Replay and online data"
-        " only)",
+        help=f"arms to compare, of those below; {arms_of.REFERENCE} and {arms_of.NULL} are always"
+        f" among them (default: {', '.join(arms_of.USUAL)})",
     )
     parser.add_argument(
         "--arm",
         action="append",
         default=[],
         metavar="NAME=section.key=value,...",
-        help="one more arm of your own, like mild=sampling.name=otc,sampling.alpha=0.5",
+        help="one more arm of your own, like mild=sampling.name=otc,sampling.alpha=0.5; one that"
+        " changes algorithm.* or offline.* trains a pi_0 of its own",
     )
     parser.add_argument("--seeds", help=f"0..9 or 0,1,5 (default: {SEEDS}; ten for any claim)")
     parser.add_argument(

@@ -1,7 +1,7 @@
 """`python -m otc_dist.launch.compare_job FOLDER SEED PIECE ...`: one process of a comparison.
 
-offline AGENT                    train pi_0 of one agent
-pi_0                             evaluate the team pi_0
+offline AGENT [ASSIGNMENT ...]   train pi_0 of one agent, or of an arm that has its own
+pi_0 [ASSIGNMENT ...]            evaluate the team pi_0
 arm NAME ASSIGNMENT ...          tune and evaluate an arm
 """
 
@@ -25,9 +25,9 @@ def main(argv: list[str]) -> int:
     folder = ComparisonFolder(Path(path))
     base = Description.load(folder.description)
     if piece == "offline":
-        runs.train_offline(folder, base, int(seed), rest[0], Teller())
+        runs.train_offline(folder, base, int(seed), rest[0], Teller(), rest[1:])
     elif piece == "pi_0":
-        runs.evaluate_offline(folder, base, int(seed))
+        runs.evaluate_offline(folder, base, int(seed), rest)
     else:
         name, *assignments = rest
         if piece == "arm":

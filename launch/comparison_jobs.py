@@ -4,8 +4,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from otc_dist.comparison.arms import Arms, describe
-from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.comparison.arms import ANALYSES, Arms, describe, offline_files
+from otc_dist.comparison.scores import OFFLINE, ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
@@ -15,6 +15,7 @@ from otc_dist.run_folder import RunFolder
 from . import forecast, run_record
 from .jobs import Job
 
+ANALYSIS = 20.0  # seconds that an analysis takes a deployment
 MODULE = (sys.executable, "-m")
 
 
@@ -58,33 +59,65 @@ def _flat(description: Description) -> dict[str, object]:
     return flat
 
 
-def offline(folder: ComparisonFolder, base: Description, seeds: Sequence[int]) -> list[Job]:
-    """The data set, then pi_0 of every seed and agent."""
+def _data(folder: ComparisonFolder, base: Description) -> Job:
+    """The data set."""
     dataset = base.dataset
-    agents = registry.team_spec(base.env.id).names
-    seconds = forecast.offline(base) + forecast.fits(base)
-    files = [store.agent_file(dataset.name, agent, dataset.transitions) for agent in agents]
+    last = registry.team_spec(base.env.id).names[-1]
     make = (*MODULE, "otc_dist.datasets", "make", dataset.name)
-    data = Job(
+    return Job(
         "data",
         (*make, "--transitions", str(dataset.transitions)),
-        files[-1],
+        store.agent_file(dataset.name, last, dataset.transitions),
         folder.root / "output" / "data.log",
         seconds=120,
     )
-    training = [
+
+
+def _training(
+    folder: ComparisonFolder,
+    base: Description,
+    seed: int,
+    data: Job,
+    assignments: Sequence[str] = (),
+    owner: str = "",
+) -> list[Job]:
+    """Offline training of every agent of a seed: for all arms, or for `owner` with its own pi_0."""
+    description = describe(base, assignments, seed)
+    files = offline_files(folder, base, description)
+    seconds = forecast.offline(description) + forecast.fits(base)
+    return [
         Job(
-            f"seed {seed}, {agent} offline",
-            _piece(folder, seed, "offline", agent),
-            folder.seed(seed).checkpoint(agent, 0),
-            folder.output(seed, f"offline_{agent}"),
+            f"seed {seed}, {agent} offline{owner and f' for {owner}'}",
+            _piece(folder, seed, "offline", agent, *assignments),
+            files.checkpoint(agent, 0),
+            folder.output(seed, f"offline_{agent}{owner and f'_{owner}'}"),
             (data.product,),
             seconds,
         )
-        for seed in seeds
-        for agent in agents
+        for agent in registry.team_spec(base.env.id).names
     ]
-    return [data, *training]
+
+
+def _trained_and_evaluated(
+    folder: ComparisonFolder,
+    base: Description,
+    seed: int,
+    data: Job,
+    assignments: Sequence[str] = (),
+    owner: str = "",
+) -> list[Job]:
+    """The same, and the evaluation of pi_0 last."""
+    training = _training(folder, base, seed, data, assignments, owner)
+    files = offline_files(folder, base, describe(base, assignments, seed))
+    evaluation = Job(
+        f"seed {seed}, evaluation of pi_0{owner and f' for {owner}'}",
+        _piece(folder, seed, "pi_0", *assignments),
+        files.root / OFFLINE,
+        folder.output(seed, f"pi_0{owner and f'_{owner}'}"),
+        tuple(job.product for job in training),
+        seconds=15,
+    )
+    return [*training, evaluation]
 
 
 def comparison(
@@ -95,31 +128,27 @@ def comparison(
     Raises:
         UserError: a finished run is of another description, or damaged.
     """
-    data, *training = offline(folder, base, seeds)
+    data = _data(folder, base)
     jobs = [data]
     for seed in seeds:
-        mine = [job for job in training if job.product.is_relative_to(folder.seed(seed).root)]
-        checkpoints = tuple(job.product for job in mine)
-        evaluation = Job(
-            f"seed {seed}, evaluation of pi_0",
-            _piece(folder, seed, "pi_0"),
-            folder.offline(seed),
-            folder.output(seed, "pi_0"),
-            checkpoints,
-            seconds=15,
-        )
-        jobs += [*mine, evaluation]
+        # By where pi_0 lies: several arms may have one of their own together.
+        offline = {folder.seed(seed).root: _trained_and_evaluated(folder, base, seed, data)}
+        jobs += offline[folder.seed(seed).root]
         for arm, assignments in arms.items():
             description = describe(base, assignments, seed)
             folder.finished(seed, arm, description.digest())
+            root = offline_files(folder, base, description).root
+            if root not in offline:
+                offline[root] = _trained_and_evaluated(folder, base, seed, data, assignments, arm)
+                jobs += offline[root]
             jobs.append(
                 Job(
                     f"seed {seed}, arm {arm}",
                     _piece(folder, seed, "arm", arm, *assignments),
                     folder.run(seed, arm),
                     folder.output(seed, arm),
-                    (*checkpoints, evaluation.product),
-                    _tuning_seconds(description),
+                    tuple(job.product for job in offline[root]),
+                    _tuning_seconds(description, ANALYSIS if arm in ANALYSES else 0.0),
                 )
             )
     return jobs
@@ -133,21 +162,18 @@ def mechanism(
     assignments: Sequence[str],
 ) -> list[Job]:
     """Offline training where it is missing, and the mechanism check `name` of every seed."""
-    data, *training = offline(folder, base, seeds)
+    data = _data(folder, base)
+    training = {seed: _training(folder, base, seed, data) for seed in seeds}
     return [
         data,
-        *training,
+        *(job for of_seed in training.values() for job in of_seed),
         *(
             Job(
                 f"seed {seed}, mechanism",
                 _piece(folder, seed, "mechanism", name, *assignments),
                 folder.mechanism(name, seed),
                 folder.output(seed, "mechanism"),
-                tuple(
-                    job.product
-                    for job in training
-                    if job.product.is_relative_to(folder.seed(seed).root)
-                ),
+                tuple(job.product for job in training[seed]),
                 seconds=120,
             )
             for seed in seeds
@@ -159,8 +185,9 @@ def _piece(folder: ComparisonFolder, seed: int, *piece: str) -> tuple[str, ...]:
     return (*MODULE, "otc_dist.launch.compare_job", str(folder.root), str(seed), *piece)
 
 
-def _tuning_seconds(description: Description) -> float:
+def _tuning_seconds(description: Description, analysis: float) -> float:
+    """Of a run; `analysis`: of what is looked at after each deployment."""
     team = registry.team_spec(description.env.id)
     once = forecast.tuning(description) + forecast.acting(description, team)
     each = once + forecast.judging(description, team)
-    return 10 + description.deployment.count * len(team.agents) * each
+    return 10 + description.deployment.count * (len(team.agents) * each + analysis)

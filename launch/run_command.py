@@ -6,6 +6,7 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 
+from otc_dist.comparison import arms, meanings
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
@@ -25,6 +26,8 @@ INSECURE = (
     " endpoint can read this run, act in it and end it"
 )
 
+_OTHERS = "Other commands, with their own --help: compare, mechanism, status, approve, chaos."
+
 
 def main(argv: list[str]) -> int:
     """Run, resume, list or plan. Returns the exit status.
@@ -34,6 +37,9 @@ def main(argv: list[str]) -> int:
     """
     parser = _parser()
     arguments = parser.parse_args(argv)
+    if arguments.arm is not None and arguments.resume is None:
+        # Whatever is done with --set, as on other hosts, is done with an arm.
+        arguments.set = [*arms.of_single_run(arguments.arm), *arguments.set]
     if arguments.list:
         shipped = descriptions.shipped()
         width = max(map(len, shipped))
@@ -72,7 +78,8 @@ def _start(arguments: argparse.Namespace) -> int:
         chosen = origin.begun(chosen)
     description = resolve(chosen, data_here=place.role != "host")
     quickly, whose = "-quick" if quick else "", f"-{place.agent}" if place.agent else ""
-    name = f"{description.name}{quickly}-seed{description.seed}{whose}"
+    arm = f"-{arguments.arm}" if arguments.arm else ""
+    name = f"{description.name}{arm}{quickly}-seed{description.seed}{whose}"
     out: Path = arguments.out or Path("runs") / name
     run = out.name if place.role == "all" else run_record.shared_name(description)
     planned = plan.make(description, RunFolder(out.resolve()), run, place)
@@ -117,6 +124,7 @@ def _resume(arguments: argparse.Namespace) -> int:
         flag
         for flag, value in (
             ("a description", arguments.description),
+            ("--arm", arguments.arm),
             ("--set", arguments.set),
             ("--seed", arguments.seed is not None),
             ("--out", arguments.out),
@@ -144,7 +152,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="python -m otc_dist.launch",
         description="Run a launch description: data, offline training, deployments, report.",
-        epilog="Other commands, with their own --help: compare, mechanism, status, approve, chaos.",
+        epilog="\n".join(["arms:", *meanings.lines(analyses=False), "", _OTHERS]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.add_argument(
@@ -152,6 +161,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="section.key=value", help="change one value"
+    )
+    parser.add_argument(
+        "--arm",
+        metavar="NAME",
+        help="sample as this arm of a comparison does; --set is applied after it; see below",
     )
     parser.add_argument("--seed", type=_whole, help="the run's seed")
     parser.add_argument("--out", type=Path, help="run folder (default: runs/NAME-seedSEED)")

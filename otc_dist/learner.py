@@ -24,7 +24,7 @@ from otc_dist import checkpoint
 from otc_dist.action_scale import ActionScale
 from otc_dist.algorithms import create
 from otc_dist.algorithms.draws import draw, to_tensors
-from otc_dist.algorithms.interface import Critic, State, unpack
+from otc_dist.algorithms.interface import Algorithm, Critic, State, unpack
 from otc_dist.description import Description
 from otc_dist.engine import Engine, resolve
 from otc_dist.errors import UserError
@@ -143,6 +143,11 @@ class Learner:
     def alpha(self) -> Alpha:
         """alpha_k and the expected similarity 𝔻_k it was adapted to."""
         return self._alpha
+
+    @property
+    def policy(self) -> tuple[Algorithm, State]:
+        """The algorithm and all that it has learned so far: an analysis asks it at other states."""
+        return self._algorithm, self._state
 
     def pretrain(self, report: Report, save: Callable[[], None]) -> None:
         """Train pi_0 on B_0, and what the distance fits to it: whatever is left to do.

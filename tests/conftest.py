@@ -14,6 +14,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 TINY = (
     "dataset.transitions=1200",
     "embedding.updates=20",
+    "dynamics.updates=20",
+    "dynamics.correction_updates=20",
     "offline.updates=60",
     "algorithm.batch_size=32",
     "sampling.candidates=64",

@@ -1,16 +1,22 @@
 """What a comparison compares: named sets of assignments to one description, and its seeds."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from operator import attrgetter
 
+from otc_dist.comparison import perfect
+from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
+from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
+from otc_dist.run_folder import RunFolder
 
 Arms = dict[str, tuple[str, ...]]  # name -> `section.key=value` assignments
 
 REFERENCE = "uniform"  # every arm is compared with it
 NULL = "uniform-null"  # the reference with other minibatches: what chance alone does
-PERFECT = "perfect"  # rows as they would be with the others acting as now: the ceiling
+PERFECT = "perfect"  # an analysis: transitions as they would be with the others acting as now
+ORACLE = "oracle"  # an analysis: the transitions in which the others acted most as they do now
 
 _RANK = ("sampling.name=otc", "sampling.acceptance=rank")
 _SHARE = ("sampling.name=otc", "sampling.acceptance=share", "sampling.share=0.1")
@@ -36,12 +42,14 @@ KNOWN: Arms = {
     "balanced": ("sampling.name=balanced",),
     NULL: ("sampling.name=uniform", "minibatch_key=1"),
 }
-_USUAL = ("dynamics-share", "typical-share", "random-share", REFERENCE)
+# What no learner can do: `analyses` makes these arms, and a single run cannot take them.
+ANALYSES: Arms = {PERFECT: ("sampling.name=uniform",), ORACLE: _of("random", *_SHARE)}
+USUAL = ("dynamics-share", "typical-share", "random-share", REFERENCE)
 
 
 def usual(base: Description) -> str:
     """The arms of a comparison that names none, comma-separated."""
-    return ",".join(_USUAL)
+    return ",".join(USUAL)
 
 
 def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:
@@ -55,7 +63,7 @@ def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:
         UserError: an unknown name (the nearest is suggested), or none at all.
     """
     mine = dict(_parse_own(item) for item in own)
-    known = KNOWN | mine
+    known = KNOWN | ANALYSES | mine
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise UserError(f"no arm to compare; known: {', '.join(known)}")
@@ -65,6 +73,22 @@ def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:
     return {name: known[name] for name in dict.fromkeys([*names, *mine, REFERENCE, NULL])}
 
 
+def of_single_run(name: str) -> tuple[str, ...]:
+    """The assignments of an arm that a single run can take.
+
+    Raises:
+        UserError: an unknown name (the nearest is suggested), or one of an analysis.
+    """
+    if name in ANALYSES:
+        raise UserError(
+            f"arm {name} looks at all agents' data and policies, which no run may: it is an arm of"
+            " `launch compare` only"
+        )
+    if name not in KNOWN:
+        raise unknown("arm", name, KNOWN)
+    return KNOWN[name]
+
+
 def _parse_own(text: str) -> tuple[str, tuple[str, ...]]:
     name, _, assignments = text.partition("=")
     if not name.replace("-", "").replace("_", "").isalnum() or "=" not in assignments:
@@ -72,7 +96,7 @@ def _parse_own(text: str) -> tuple[str, tuple[str, ...]]:
             f"--arm {text!r}: write name=section.key=value,..., like"
             " mild=sampling.name=otc,sampling.alpha=0.5"
         )
-    if name in KNOWN:
+    if name in KNOWN or name in ANALYSES:
         raise UserError(f"--arm {text!r}: {name} is an arm already; choose another name")
     return name, tuple(assignments.split(","))
 
@@ -92,30 +116,64 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(seeds))
 
 
+# What all arms have in common: else their episodes, or their deployments, cannot be compared.
+_COMMON = ("env", "dataset", "evaluation", "engine", "deployment.count", "seed")
+_SINGLE = ("confirm", "floor", "approve")  # settings that would end a run otherwise than others
+
+
 def describe(base: Description, assignments: Sequence[str], seed: int) -> Description:
     """The description of one run of an arm.
 
     Raises:
-        UserError: the arm would change the offline policy, which all arms share.
+        UserError: the arm would change what all arms have in common.
     """
-    description = base.with_assignments(*assignments, f"seed={seed}")
-    if description.offline_digest() != of_seed(base, seed).offline_digest():
-        raise UserError(
-            f"an arm may not change how pi_0 is trained: {', '.join(assignments)};"
-            " use --set, which is for all arms"
-        )
+    description, shared = base.with_assignments(*assignments, f"seed={seed}"), of_seed(base, seed)
+    for name in _COMMON:
+        value = attrgetter(name)
+        if value(description) != value(shared):
+            raise UserError(
+                f"an arm may not change {name}, which all arms share: {', '.join(assignments)};"
+                " use --set, which is for all arms"
+            )
     return description
 
 
 def of_seed(base: Description, seed: int) -> Description:
-    """How the offline policies of a seed are trained."""
+    """How the offline policies of a seed are trained, where an arm does not say otherwise."""
     return base.with_assignments(f"seed={seed}")
+
+
+def offline_files(
+    folder: ComparisonFolder, base: Description, description: Description
+) -> RunFolder:
+    """Where pi_0 of a run lies: the one that is shared, or one that its arm trains for itself."""
+    seed, digest = description.seed, description.offline_digest()
+    shared = of_seed(base, seed).offline_digest()
+    return folder.seed(seed) if digest == shared else folder.own(seed, digest)
 
 
 def check(base: Description, arms: Mapping[str, Sequence[str]]) -> None:
     """Build every arm once, so that a mistake shows before anything runs. Raises UserError."""
     for name, assignments in arms.items():
         try:
-            describe(base, assignments, 0)
+            description = describe(base, assignments, 0)
+            for key in _SINGLE:
+                if getattr(description.deployment, key):
+                    raise UserError(f"deployment.{key} is for single runs: leave it out")
+            if name in ANALYSES:
+                _check_analysis(name, description)
         except UserError as error:
             raise UserError(f"arm {name}: {error}") from None
+
+
+def _check_analysis(name: str, description: Description) -> None:
+    env_id = description.env.id
+    if len(registry.team_spec(env_id).agents) < 2:
+        raise UserError(f"it is about other agents, and {env_id} has none")
+    if description.deployment.exploration != "none":
+        raise UserError(
+            "it needs deployment.exploration = 'none': what an agent that explores does is not"
+            " what it would do"
+        )
+    if name == PERFECT:
+        perfect.check(env_id)

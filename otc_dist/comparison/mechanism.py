@@ -2,7 +2,9 @@
 
 Data sets are generated jointly, so an analysis, never a learner, knows the other agents' actions.
 The smaller |a_-i - pi_-i(s)| is in the selected transitions, the better they follow the online
-dynamics. Everything is told as a ratio to uniform sampling, so 1 is no effect.
+dynamics; and so they do the better, the nearer s' is to what the simulator, where it can be set to
+a state, reaches with the others acting as now. Everything is told as a ratio to uniform sampling,
+so 1 is no effect.
 """
 
 import time
@@ -33,6 +35,7 @@ class Selected:
 
     mismatch: float  # of |a_-i - pi_-i(s)|
     offline: float  # the same of B_0's transitions alone, to uniform sampling from B_0
+    error: float  # of |s' - s'_now|^2, by the simulator
     value: float  # of V(s')
     online: float  # no ratio: the share of D_1's own transitions, which match themselves
 
@@ -79,7 +82,7 @@ def _selected(
     sampling = description.sampling
     of_row, wanted = ways(description, specimen, pool), noise(description, specimen)
     newest = np.arange(pool.size, len(pool.mismatch))
-    sums = {row: np.zeros(4) for row in of_row}
+    sums = {row: np.zeros(5) for row in of_row}
     for number in range(MINIBATCHES):
         random = stream(description.seed, "mechanism", agent, number)
         count = min(sampling.references, len(newest))

@@ -11,10 +11,12 @@ from torch import Tensor
 from otc_dist import team
 from otc_dist.algorithms.draws import Draws, draw
 from otc_dist.algorithms.interface import State
+from otc_dist.comparison import perfect
 from otc_dist.comparison.runs import Tell, restored
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.comparison.specimen import Specimen
 from otc_dist.datasets import store
+from otc_dist.datasets.joint import JointTransitions
 from otc_dist.description import Description
 from otc_dist.folds import folds
 from otc_dist.otc import create_sampler
@@ -31,15 +33,18 @@ class Pool:
     data: dict[str, Data]  # of each distance
     size: int  # rows before D_1's
     mismatch: Tensor  # (N,) l2 distance over all other agents' action components
+    error: Tensor  # (N,) of s', squared, from what it would be with the others acting as now
     value: Tensor  # (N,) V(s'), not a number without a Q
     online: Tensor  # (N,) whether it is D_1's
     priorities: Tensor  # (size,) Balanced Replay's
 
     def means(self, rows: Tensor) -> Float64:
-        """Of `rows`: mismatch, mismatch of B_0's among them, V(s'), and the share of D_1's."""
+        """Of `rows`: mismatch, mismatch of B_0's among them, error of s', V(s'), and the share of
+        D_1's.
+        """
         mismatch, online = self.mismatch[rows], self.online[rows]
         offline = mismatch[~online]
-        parts = (mismatch, offline, self.value[rows], online.float())
+        parts = (mismatch, offline, self.error[rows], self.value[rows], online.float())
         return np.array([float(part.mean()) for part in parts])
 
 
@@ -53,7 +58,7 @@ def pools(
     """Each agent's rows of the same joint transitions, up to `wanted` of B_0 and D_1 together."""
     seed, dataset = description.seed, description.dataset
     tell(0.0, "deploying")
-    online = team.deploy(restored(folder, description), 1)
+    online = team.deploy(restored(folder.seed(seed), description), 1)
     joint = store.load_joint(dataset.name, dataset.transitions)
     offline, count = len(joint), len(joint) + description.deployment.transitions
     size = min(wanted, count)
@@ -74,18 +79,44 @@ def pools(
     for index, (specimen, mine) in enumerate(zip(specimens, rows, strict=True)):
         tell(0.1 + 0.3 * index / len(rows), "asking the policies what they would do")
         gaps.append(specimen.gap(mine, stream(seed, "mechanism", "act", index)))
-    tell(0.4, "embeddings and values")
+    tell(0.4, "playing what they would do")
+    everything = JointTransitions.concatenate([joint, JointTransitions.of_steps(online)])
+    errors = successor_errors(description.env.id, everything[numbers], gaps)
+    tell(0.45, "embeddings and values")
     return [
         Pool(
             specimen.data(mine, halves[index]),
             size,
             torch.from_numpy(np.linalg.norm(np.concatenate(_others(gaps, index), axis=1), axis=1)),
+            errors[index],
             specimen.next_values(mine, stream(seed, "mechanism", "value", index)),
             is_online,
             priorities[index],
         )
         for index, (specimen, mine) in enumerate(zip(specimens, rows, strict=True))
     ]
+
+
+def successor_errors(
+    env_id: str, joint: JointTransitions, gaps: Sequence[NDArray[np.float32]]
+) -> list[Tensor]:
+    """Of each agent, the squared error (N,) of the recorded s' against the simulator's with the
+    others acting as now, every component in standard deviations; not a number where the simulator
+    cannot be set to a state.
+
+    Args:
+        gaps: recorded actions minus those of now, of each agent (N, a).
+    """
+    if not perfect.possible(env_id):
+        return [torch.full((len(joint),), torch.nan) for _ in gaps]
+    now = [recorded - gap for recorded, gap in zip(joint.actions, gaps, strict=True)]
+    correction = perfect.Correction(perfect.OneStep(env_id), joint)
+    errors = []
+    for index, recorded in enumerate(joint.next_observations):
+        wrong = recorded - correction.of_agent(index, now).next_observations
+        wrong /= recorded.std(axis=0) + np.float32(1e-6)
+        errors.append(torch.from_numpy(np.square(wrong).sum(axis=1)))
+    return errors
 
 
 def _others(gaps: Sequence[NDArray[np.float32]], index: int) -> list[NDArray[np.float32]]:

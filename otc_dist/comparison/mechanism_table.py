@@ -15,6 +15,13 @@ BALANCED = "Balanced Replay"
 UNIFORM = "uniform, other minibatches"
 ORACLE = "oracle: the mismatch itself"
 ONLINE = "D_1 alone, uniform"
+COLUMNS = {
+    "mismatch": "mismatch",
+    "offline": "mismatch in B_0",
+    "error": "error of s'",
+    "value": "V(s')",
+    "online": "share of D_1",
+}
 
 
 @dataclass(frozen=True)
@@ -45,18 +52,14 @@ class Row:
     name: str
     mismatch: Estimate  # of |a_-i - pi_-i(s)|, B_1
     offline: Estimate  # the same of B_0's transitions alone
-    value: Estimate  # of V(s')
+    error: Estimate  # of the squared error of s'; NaN where no simulator tells it
+    value: Estimate  # of V(s'); NaN without a Q
     online: Estimate  # the share of D_1's own transitions
 
     @classmethod
     def of(cls, name: str, found: Sequence[Mapping[str, float | None]]) -> "Row":
         """From what every seed and agent gave."""
-        measures = ("mismatch", "offline", "value", "online")
-        return cls(name, *(Estimate.of([one[measure] for one in found]) for measure in measures))
-
-    def cells(self) -> list[str]:
-        """For a table."""
-        return [self.name, *map(str, (self.mismatch, self.offline, self.value, self.online))]
+        return cls(name, *(Estimate.of([one[measure] for one in found]) for measure in COLUMNS))
 
 
 @dataclass(frozen=True)
@@ -79,12 +82,15 @@ class Mechanism:
         )
         yield f"|a_-i - pi_-i(s)| under uniform sampling: {self.uniform_mismatch}"
         yield "ratios to uniform sampling (mismatch below 1: nearer to the online dynamics);"
+        yield "error of s': squared, against the simulator's s' with the others acting as now;"
         yield "D_1's own transitions match themselves, so those of B_0 are also told apart"
-        head = ["selected by", "mismatch", "mismatch in B_0", "V(s')", "share of D_1"]
-        lines = [head, *(row.cells() for row in self.rows)]
-        if all(math.isnan(row.value.mean) for row in self.rows):  # the algorithm has no Q
-            lines = [[*line[:3], *line[4:]] for line in lines]
-        yield from aligned(lines)
+        told = {}  # of what is known
+        for measure, title in COLUMNS.items():
+            estimates: list[Estimate] = [getattr(row, measure) for row in self.rows]
+            if not all(math.isnan(estimate.mean) for estimate in estimates):
+                told[title] = [str(estimate) for estimate in estimates]
+        columns = {"selected by": [row.name for row in self.rows], **told}
+        yield from aligned([list(columns), *map(list, zip(*columns.values(), strict=True))])
 
 
 def read(paths: Sequence[Path]) -> Mechanism:

@@ -86,6 +86,7 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
             found[facts.title] = ranked(partial(_looked_up, scores))
         best = scores.argsort(stable=True)[: math.ceil(BEST * pool.size)]
         found[f"{facts.title}, {TENTH}"] = partial(_any_of, best)
+    nearest = pool.mismatch[: pool.size].argsort(stable=True)[: math.ceil(BEST * pool.size)]
     held = priorities.of(pool.priorities)
     return found | {
         BALANCED: lambda draws: priorities.choose(*held, draws["balanced"]),
@@ -94,6 +95,7 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
         # All at the same distance in a random order: uniform.
         UNIFORM: ranked(lambda draws: torch.zeros(len(draws["candidates"]))),
         ORACLE: ranked(lambda draws: pool.mismatch[draws["candidates"]]),
+        f"{ORACLE}, {TENTH}": partial(_any_of, nearest),
     }
 
 

@@ -72,7 +72,7 @@ def page(
         html.section("Arms", html.facts((name, ", ".join(a)) for name, a in arms.items())),
         html.section(
             "How it was made",
-            html.facts([*_versions(runs), ("processor", _processors(runs))]),
+            html.facts([*_versions(runs), ("processor", tables.processors(runs))]),
             html.details("description.toml", html.preformatted(base.to_toml())),
         ),
     ]
@@ -130,7 +130,7 @@ def _judged(summary: Summary) -> list[str]:
     found = []
     if RECOMMENDED in names:
         gains = list(tables.gain_rows(summary))
-        found.append(html.table(gains[0], gains[1:]))
+        found += [html.note(tables.GAIN), html.table(gains[0], gains[1:])]
     for name in names:
         rows = list(tables.difference_rows(summary, name))
         found += [html.note(tables.JUDGED_TITLES[name]), html.table(rows[0], rows[1:])]
@@ -170,9 +170,3 @@ def _versions(runs: Mapping[str, Sequence[Run]]) -> list[tuple[str, str]]:
         for package, version in run.versions.items():
             found.setdefault(package, set()).add(version)
     return [(package, ", ".join(sorted(versions))) for package, versions in found.items()]
-
-
-def _processors(runs: Mapping[str, Sequence[Run]]) -> str:
-    """Those that the runs were made on: paired differences across two hold other noise."""
-    found = {run.processor for of_arm in runs.values() for run in of_arm}
-    return ", ".join(sorted(found))

@@ -12,8 +12,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from otc_dist import team
-from otc_dist.comparison.arms import describe, of_seed
+from otc_dist.comparison import analyses
+from otc_dist.comparison.analyses import Analysis
+from otc_dist.comparison.arms import ANALYSES, describe, offline_files
 from otc_dist.comparison.scores import (
+    OFFLINE,
     ComparisonFolder,
     Evaluation,
     Run,
@@ -31,6 +34,7 @@ from otc_dist.exploration import Schedule
 from otc_dist.keeping import reverted
 from otc_dist.learner import Learner, Progress
 from otc_dist.measured import Measured, horizon
+from otc_dist.otc.samplers import Sampler
 from otc_dist.processor import processor
 from otc_dist.run_folder import RunFolder
 from otc_dist.transitions import JointStep
@@ -39,17 +43,26 @@ Tell = Callable[[float, str], None]  # share of the job that is done, and where 
 
 
 def train_offline(
-    folder: ComparisonFolder, base: Description, seed: int, agent: str, tell: Tell
+    folder: ComparisonFolder,
+    base: Description,
+    seed: int,
+    agent: str,
+    tell: Tell,
+    assignments: Sequence[str] = (),
 ) -> None:
     """Train pi_0 of one agent, and what any arm's distance fits to B_0, from its newest unfinished
     checkpoint.
+
+    Args:
+        assignments: those of an arm that has its own pi_0; none: the one that all others share.
     """
-    files = folder.seed(seed)
-    learner = _learner(of_seed(base, seed), agent, fits=DISTANCES)
+    description = describe(base, assignments, seed)
+    files = offline_files(folder, base, description)
+    learner = _learner(description, agent, fits=DISTANCES)
     unfinished = files.offline_checkpoint(agent)
     if unfinished.exists():
         learner.load(unfinished)
-    offline = base.offline.updates
+    offline = description.offline.updates
 
     def report(progress: Progress) -> None:
         share = progress.update / offline if progress.phase == "offline" and offline else 1.0
@@ -60,10 +73,13 @@ def train_offline(
     unfinished.unlink(missing_ok=True)
 
 
-def evaluate_offline(folder: ComparisonFolder, base: Description, seed: int) -> None:
-    """Evaluate the team pi_0 of a seed, once for all arms."""
-    learners = restored(folder, of_seed(base, seed))
-    write_json(folder.offline(seed), asdict(_evaluate(learners, 0)))
+def evaluate_offline(
+    folder: ComparisonFolder, base: Description, seed: int, assignments: Sequence[str] = ()
+) -> None:
+    """Evaluate the team pi_0 of a seed, once for all arms that have it; see `train_offline`."""
+    description = describe(base, assignments, seed)
+    files = offline_files(folder, base, description)
+    write_json(files.root / OFFLINE, asdict(_evaluate(restored(files, description), 0)))
 
 
 def run_arm(
@@ -82,10 +98,12 @@ def run_arm(
     """
     start = time.monotonic()
     description = describe(base, assignments, seed)
-    learners = restored(folder, description)
-    first = Evaluation(**read_json(folder.offline(seed)))
+    files = offline_files(folder, base, description)
+    analysis = analyses.create(arm, description) if arm in ANALYSES else None
+    learners = restored(files, description, analysis)
+    first = Evaluation(**read_json(files.root / OFFLINE))
     if first.policies != _digests(learners):
-        raise UserError(f"{folder.offline(seed)} is of other policies; delete it")
+        raise UserError(f"{files.root / OFFLINE} is of other policies; delete it")
     evaluations, told = [first], []
     measured: list[Measured | None] = []
     count, h = description.deployment.count, _horizon(description)
@@ -101,6 +119,9 @@ def run_arm(
             measured.append(_measured(steps, h))
             if description.deployment.revert:
                 _revert(learners, k, measured, earlier)
+            if analysis is not None:
+                tell_of_k(0.0, "analysis of deployment")
+                analysis.prepare(learners, k, steps)
             told.append(_tune(learners, k, steps, tell_of_k))
             evaluations.append(_evaluate(learners, k))
     run = Run(
@@ -109,6 +130,7 @@ def run_arm(
         description=description.digest(),
         evaluations=evaluations,
         offline=description.offline_digest(),
+        analysis=arm if analysis is not None else "",
         told=told,
         measured=measured,
         horizon=h,
@@ -122,25 +144,32 @@ def run_arm(
     return run
 
 
-def restored(folder: ComparisonFolder, description: Description) -> list[Learner]:
-    """All learners of a description, holding pi_0 of its seed. Raises UserError, as `load`."""
-    files = folder.seed(description.seed)
+def restored(
+    files: RunFolder, description: Description, analysis: Analysis | None = None
+) -> list[Learner]:
+    """All learners of a description, holding the pi_0 in `files`. Raises UserError, as `load`."""
     learners = []
-    for agent in registry.team_spec(description.env.id).names:
-        learner = _learner(description, agent)
+    for index, agent in enumerate(registry.team_spec(description.env.id).names):
+        sampler = analysis.sampler(index) if analysis is not None else None
+        learner = _learner(description, agent, sampler=sampler)
         learner.load(files.checkpoint(agent, 0))
         learners.append(learner)
     return learners
 
 
-def _learner(description: Description, agent: str, fits: Iterable[str] = ()) -> Learner:
+def _learner(
+    description: Description,
+    agent: str,
+    fits: Iterable[str] = (),
+    sampler: Sampler | None = None,
+) -> Learner:
     spec = registry.team_spec(description.env.id)
     dataset = description.dataset
     path = store.agent_file(dataset.name, agent, dataset.transitions)
     data, task = store.load_agent(path, agent), registry.task(description.env.id)
     index = spec.index(agent)
     place = (index, len(spec.agents))
-    return Learner(description, spec.agents[index], data, task, place, fits=fits)
+    return Learner(description, spec.agents[index], data, task, place, sampler, fits)
 
 
 def _horizon(description: Description) -> int:

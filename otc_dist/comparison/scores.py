@@ -107,6 +107,7 @@ class ComparisonFolder:
     description.toml          the resolved description that all arms share
     seeds/seed_00/agents/     offline checkpoints of a seed, one folder an agent
     seeds/seed_00/pi_0.json   greedy returns of its offline policies, shared by all arms
+    seeds/seed_00/own/DIGEST/ the same of arms that train another pi_0, by its digest
     seeds/seed_00/ARM.json    raw scores of one run
     mechanism/NAME/seed_00.json   what samplers select, by the analysis of that name
     output/                   what each process printed
@@ -129,6 +130,10 @@ class ComparisonFolder:
 
     def seed(self, seed: int) -> RunFolder:
         return RunFolder(self.root / "seeds" / f"seed_{seed:02d}")
+
+    def own(self, seed: int, digest: str) -> RunFolder:
+        """The same for arms whose pi_0 has another offline digest than the one that is shared."""
+        return RunFolder(self.seed(seed).root / "own" / digest)
 
     def offline(self, seed: int) -> Path:
         return self.seed(seed).root / OFFLINE

@@ -12,6 +12,7 @@ from otc_dist.action_scale import ActionScale
 from otc_dist.algorithms import create
 from otc_dist.algorithms.draws import Draw, Draws, draw, to_tensors
 from otc_dist.algorithms.interface import Critic, State, unpack
+from otc_dist.comparison.present import packed
 from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
 from otc_dist.engine import Engine
@@ -20,7 +21,7 @@ from otc_dist.otc.distances import create_features
 from otc_dist.otc.distances.interface import Features, Setting
 from otc_dist.otc.samplers import Data
 from otc_dist.spec import AgentSpec
-from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
+from otc_dist.transitions import Float32, RowLayout, Transitions
 
 CHUNK = 256  # states acted on at once: 100 candidates each fit into the processor's cache
 VALUE_SAMPLES = 10  # actions that V(s') is the mean of, as in the notes on BCQ
@@ -34,6 +35,7 @@ class Specimen:
     """
 
     def __init__(self, description: Description, spec: AgentSpec, path: Path) -> None:
+        self._spec = spec
         arrays, _ = checkpoint.read(path)
         parts = checkpoint.parts(arrays)
         self.layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
@@ -50,12 +52,8 @@ class Specimen:
         self._scale = ActionScale(spec)
 
     def rows(self, data: Transitions) -> Tensor:
-        """Packed rows (N, width), as in the agent's replay buffer: actions scaled to [-1, 1]."""
-        buffer = ReplayBuffer(self.layout, len(data))
-        buffer.append(data, offline=True)
-        actions = buffer.rows[:, self.layout.action]
-        actions[:] = self._scale.scaled(actions)
-        return torch.from_numpy(buffer.rows)
+        """Packed rows (N, width); see `present.packed`."""
+        return packed(self._spec, data)
 
     def data(self, rows: Tensor, folds: Tensor) -> dict[str, Data]:
         """Distance -> packed rows (N, width) with what it keeps of them."""

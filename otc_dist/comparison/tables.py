@@ -1,11 +1,12 @@
 """A summary as text: what the runs are judged by, their differences, and one table a measure."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import isnan
 
 from otc_dist.comparison.arms import NULL, PERFECT, REFERENCE
 from otc_dist.comparison.intervals import RESAMPLES, Spread
 from otc_dist.comparison.judgement import MEAN, RECOMMENDED, WORST
+from otc_dist.comparison.scores import Run
 from otc_dist.comparison.statistics import Arm, Judged, Summary
 
 TITLES = {
@@ -27,6 +28,10 @@ METHOD = (
 SHARE = (
     f"of the way: from {REFERENCE} to {PERFECT}, where both intervals of {PERFECT} minus"
     f" {REFERENCE} exclude 0"
+)
+GAIN = (
+    "gain of the recommended policy over pi_0; the best of several deployments has one with any"
+    " sampling"
 )
 NOTHING = "-"
 
@@ -122,6 +127,12 @@ def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
         yield "  ".join([first, *others]).rstrip()
 
 
+def processors(runs: Mapping[str, Sequence[Run]]) -> str:
+    """Those that the runs were made on: on another one the same run differs by chance."""
+    found = {run.processor for of_arm in runs.values() for run in of_arm}
+    return ", ".join(sorted(found))
+
+
 def text(summary: Summary) -> Iterator[str]:
     """The whole summary, line by line."""
     for measure in measures(summary):
@@ -129,7 +140,7 @@ def text(summary: Summary) -> Iterator[str]:
         yield from aligned(list(measure_rows(summary, measure)))
     yield f"\n{METHOD};\npaired differences are over the seeds that both sides have"
     if RECOMMENDED in judged(summary):
-        yield f"\n{JUDGED_TITLES[RECOMMENDED]}; best of the deployments alone beats pi_0"
+        yield f"\n{GAIN}"
         yield from aligned(list(gain_rows(summary)))
     for name in judged(summary):
         yield f"\n{JUDGED_TITLES[name]}"

@@ -6,10 +6,13 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from otc_dist.envs import cooperative_navigation, navigation, predator_prey
 from otc_dist.envs.base import BatchedEnv
 from otc_dist.errors import UserError
 from otc_dist.spec import Task, TeamSpec
+from otc_dist.transitions import Float32, Float64
 
 USUAL = ("predator-prey-3", "cooperative-navigation-4", navigation.ENV_ID)  # the paper's
 
@@ -63,6 +66,15 @@ def team_spec(env_id: str) -> TeamSpec:
         return navigation.team_spec()
     task, agents = _numbered(env_id)
     return task.team_spec(agents)
+
+
+def states_of(env_id: str, observations: Float32) -> Float64 | None:
+    """Simulator states (N, state_size) in which an agent observes `observations` (N, s), at the
+    first step of an episode; None for Navigation, which does not show its whole state.
+    """
+    if env_id == navigation.ENV_ID:
+        return None
+    return np.pad(observations.astype(np.float64), ((0, 0), (1, 0)))  # behind the elapsed steps
 
 
 def make(env_id: str, copies: int, progress: float | None) -> BatchedEnv:

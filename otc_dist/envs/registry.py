@@ -15,6 +15,7 @@ from otc_dist.envs import (
 from otc_dist.envs.base import BatchedEnv
 from otc_dist.errors import unknown
 from otc_dist.spec import Task, TeamSpec
+from otc_dist.transitions import Float32, Float64
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class _Family:
     task: Callable[[str], Task] | None = None
     changes: Callable[[str], bool] | None = None  # in the course of the deployments; None: never
     shares_reward: bool = True  # whether all agents get the same one, whatever happens
+    # Simulator states from what agents observe, None of a task that does not show them.
+    states_of: Callable[[str, Float32], Float64 | None] | None = None
     most_copies: int | None = None  # of those that nobody asked for; None: they cost little
 
 
@@ -67,6 +70,7 @@ _FAMILIES = (
         _make_robot,
         robot_specs.reference_returns,
         robot_task.task,
+        states_of=robot_specs.states_of,
     ),
     _Family(
         particle_family.USUAL,
@@ -75,6 +79,7 @@ _FAMILIES = (
         particle_family.make,
         task=particle_family.task,
         changes=particle_family.changes,
+        states_of=particle_family.states_of,
     ),
     _Family(
         tuple(skirmish.SKIRMISHES),
@@ -165,6 +170,16 @@ def changes(env_id: str) -> bool:
     """
     changes_of = _family(env_id).changes
     return changes_of is not None and changes_of(env_id)
+
+
+def states_of(env_id: str, observations: Float32) -> Float64 | None:
+    """Simulator states (N, state_size), for `set_state`, in which `observations` (N, s) are made at
+    the first step of an episode. None for a task whose observations do not tell its state.
+
+    Raises UserError if unknown.
+    """
+    states = _family(env_id).states_of
+    return states(env_id, observations) if states else None
 
 
 def normalised_score(env_id: str, returns: float) -> float | None:

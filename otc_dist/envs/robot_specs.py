@@ -7,7 +7,10 @@ ascending slices of the action vector, and every agent observes the full state.
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from otc_dist.spec import AgentSpec, TeamSpec
+from otc_dist.transitions import Float32, Float64
 
 MAX_EPISODE_STEPS = 1000
 
@@ -135,6 +138,17 @@ def team_spec(env_id: str) -> TeamSpec:
         state_size=robot.state_size,
         max_episode_steps=MAX_EPISODE_STEPS,
     )
+
+
+def states_of(env_id: str, observations: Float32) -> Float64:
+    """Simulator states (N, state_size) in which an agent observes `observations` (N, s), at the
+    first step of an episode, at the origin and without the solver's warm start. Velocities that
+    were clipped stay clipped. Raises KeyError for an unknown id.
+    """
+    robot, _ = PARTITIONS[env_id]
+    states = np.zeros((len(observations), robot.state_size))
+    states[:, 2 : 2 + robot.observation_size] = observations  # behind the forward position
+    return states
 
 
 def reference_returns(env_id: str) -> tuple[float, float]:

@@ -1,17 +1,26 @@
+import re
+from pathlib import Path
+
 import pytest
 
 from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison.arms import (
+    ANALYSES,
     KNOWN,
     NULL,
+    ORACLE,
+    PERFECT,
     REFERENCE,
     describe,
     parse_arms,
     parse_seeds,
     usual,
 )
+from otc_dist.comparison.meanings import MEANINGS
+from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.launch import compare, run_command
 
 
 def test_the_reference_and_the_null_arm_are_always_among_the_arms() -> None:
@@ -19,12 +28,11 @@ def test_the_reference_and_the_null_arm_are_always_among_the_arms() -> None:
     assert list(parse_arms("uniform,online-only")) == [REFERENCE, "online-only", NULL]
 
 
-def test_without_a_q_no_usual_arm_needs_one(base: Description) -> None:
-    assert "otc-value" in usual(base).split(",")
+def test_no_usual_arm_needs_a_q(base: Description) -> None:
     without = base.with_assignments("algorithm.name=bremen", "sampling.candidates=512")
-    names = usual(without)
-    assert "otc-value" not in names and "balanced" in names
-    arms_of.check(without, parse_arms(names))
+    arms_of.check(without, parse_arms(usual(without)))
+    with pytest.raises(UserError, match="arm otc-value: "):
+        arms_of.check(without, parse_arms("otc-value"))
 
 
 def test_an_unknown_arm_is_answered_with_the_nearest() -> None:
@@ -63,15 +71,81 @@ def test_bad_seeds_are_one_clear_line(text: str) -> None:
 
 
 def test_all_known_arms_share_the_offline_policy(base: Description) -> None:
+    base = base.with_assignments("deployment.transitions=400")  # enough for p-values
     arms_of.check(base, KNOWN)
     digests = {describe(base, a, 3).offline_digest() for a in KNOWN.values()}
     assert len(digests) == 1
     assert len({describe(base, a, 3).digest() for a in KNOWN.values()}) == len(KNOWN)
 
 
-def test_an_arm_that_changes_the_offline_policy_is_refused(base: Description) -> None:
-    with pytest.raises(UserError, match="arm greedy: an arm may not change how pi_0 is trained"):
-        arms_of.check(base, {"greedy": ("algorithm.discount=0.5",)})
+@pytest.mark.parametrize(
+    ("assignment", "told"),
+    [
+        ("evaluation.episodes=3", "may not change evaluation"),
+        ("dataset.name=random", "may not change dataset"),
+        ("env.copies=8", "may not change env"),
+        ("deployment.count=1", r"may not change deployment\.count"),
+    ],
+)
+def test_an_arm_that_changes_what_all_have_in_common_is_refused(
+    base: Description, assignment: str, told: str
+) -> None:
+    with pytest.raises(UserError, match=f"arm mine: an arm {told}"):
+        arms_of.check(base, {"mine": (assignment,)})
+
+
+def test_what_ends_a_run_otherwise_than_others_is_refused(base: Description) -> None:
+    for assignment in ("deployment.confirm=true", "deployment.floor=3", "deployment.approve=true"):
+        with pytest.raises(UserError, match="is for single runs"):
+            arms_of.check(base.with_assignments(assignment), parse_arms("uniform"))
+
+
+def test_every_arm_is_explained_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert set(MEANINGS) == set(KNOWN) | set(ANALYSES)
+    helps = {}
+    for command in (compare, run_command):
+        with pytest.raises(SystemExit):
+            command.main(["--help"])
+        helps[command] = capsys.readouterr().out
+    for name, meaning in MEANINGS.items():
+        line = re.compile(rf"^  {name} +{re.escape(meaning)}$", re.M)
+        assert line.search(helps[compare])
+        assert bool(line.search(helps[run_command])) == (name in KNOWN)
+
+
+def test_a_single_run_takes_an_arm(base: Description) -> None:
+    assert arms_of.of_single_run("rlpd") == KNOWN["rlpd"]
+    with pytest.raises(UserError, match="did you mean 'otc-embedding'"):
+        arms_of.of_single_run("otc-embeding")
+    with pytest.raises(UserError, match="arm perfect looks at all agents' data"):
+        arms_of.of_single_run("perfect")
+
+
+def test_an_arm_that_changes_how_pi_0_is_trained_has_its_own(
+    base: Description, tmp_path: Path
+) -> None:
+    folder = ComparisonFolder(tmp_path)
+    arms_of.check(base, {"greedy": ("algorithm.discount=0.5",)})
+    places = {
+        name: arms_of.offline_files(folder, base, describe(base, assignments, 3)).root
+        for name, assignments in {
+            "uniform": KNOWN[REFERENCE],
+            "value": KNOWN["otc-value"],
+            "greedy": ("algorithm.discount=0.5",),
+            "longer": ("offline.updates=61",),
+            "greedy and corrected": ("algorithm.discount=0.5", *KNOWN["otc-value"]),
+        }.items()
+    }
+    assert places["uniform"] == places["value"] == folder.seed(3).root
+    assert places["greedy"] == places["greedy and corrected"]
+    assert len({places["uniform"], places["greedy"], places["longer"]}) == 3
+    assert places["greedy"].is_relative_to(folder.seed(3).root)
+
+
+def test_an_arm_of_ones_own_takes_no_analysis_name() -> None:
+    assert set(parse_arms("perfect,oracle")) == {PERFECT, ORACLE, REFERENCE, NULL}
+    with pytest.raises(UserError, match="perfect is an arm already"):
+        parse_arms("uniform", ["perfect=sampling.name=uniform"])
 
 
 def test_the_null_arm_differs_from_the_reference_by_its_minibatches_only(base: Description) -> None:

@@ -5,12 +5,14 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison import collected
 from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.launch import compare, comparison_jobs, mechanism
+from otc_dist.processor import processor
 
 
 @pytest.mark.parametrize(
@@ -21,7 +23,7 @@ from otc_dist.launch import compare, comparison_jobs, mechanism
         (("--set", "evaluation.episodes=10"), "needs evaluation.episodes >= 30, not 10"),
         (("--set", "deployment.count=0"), "needs deployment.count >= 1"),
         (("--set", "ofline.updates=1"), "did you mean 'offline"),
-        (("--arm", "x=algorithm.discount=0.5"), "arm x: an arm may not change how pi_0"),
+        (("--arm", "x=evaluation.episodes=40"), "arm x: an arm may not change evaluation"),
         (("--sedes", "0"), "unknown flag '--sedes'; did you mean '--seeds'"),
     ],
 )
@@ -67,6 +69,23 @@ def test_a_finished_comparison_is_printed_again(
     assert finished.report.exists() and finished.results.exists()
 
 
+def test_an_arm_with_its_own_pi_0_is_trained_and_evaluated_once_for_all_that_share_it(
+    base: Description, tmp_path: Path
+) -> None:
+    folder = ComparisonFolder(tmp_path)
+    own = ["greedy=algorithm.discount=0.5", "corrected=algorithm.discount=0.5,sampling.name=otc"]
+    arms = arms_of.parse_arms("uniform", own)
+    jobs = {job.name: job for job in comparison_jobs.comparison(folder, base, arms, (0,))}
+    shared, mine = jobs["seed 0, arm uniform"], jobs["seed 0, arm greedy"]
+    assert jobs["seed 0, arm corrected"].needs == mine.needs
+    assert set(mine.needs).isdisjoint(shared.needs) and len(mine.needs) == 4
+    made = {job.product for job in jobs.values()}
+    assert set(mine.needs) <= made and len(made) == len(jobs) == 1 + 2 * 4 + 4
+    assert len({job.output for job in jobs.values()}) == len(jobs)
+    training = jobs["seed 0, agent_1 offline for greedy"]
+    assert training.command[-2:] == ("agent_1", "algorithm.discount=0.5")
+
+
 def test_tables_need_the_raw_scores_only(
     finished: ComparisonFolder,
     tiny_flags: tuple[str, ...],
@@ -89,7 +108,7 @@ def test_tables_need_the_raw_scores_only(
     for folder in (kept, finished.root):
         assert compare.main(["--tables", str(folder)]) == 0
         out = capsys.readouterr().out
-        assert out.startswith("3agent_hopper, hopper-3x1/medium-replay")
+        assert out.startswith(f"3agent_hopper, hopper-3x1/medium-replay; on {processor()}\n")
         tables = out.split("\n", 1)[1].strip()
         assert tables in shown  # to the letter
         words = ("minus pi_0", "minus uniform", "by t", "IQM", "worst deployed policy")

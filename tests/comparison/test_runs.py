@@ -3,6 +3,7 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from otc_dist import checkpoint, learner, team
 from otc_dist.comparison import runs
 from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, Arms, describe
 from otc_dist.comparison.scores import ComparisonFolder, Run, best_of
+from otc_dist.comparison.statistics import summarise
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.learner import Learner
 from otc_dist.measured import Measured
 from otc_dist.processor import processor
 
@@ -51,7 +54,7 @@ def test_every_deployment_judges_the_policies_that_acted_in_it(
         assert len(run.measured) == base.deployment.count
         means = [one.mean if one else np.nan for one in run.measured]
         assert run.best == 1 + int(np.argmax(means))
-    deployed = team.deploy(runs.restored(finished, describe(base, KNOWN[REFERENCE], 0)), 1)
+    deployed = team.deploy(runs.restored(finished.seed(0), describe(base, KNOWN[REFERENCE], 0)), 1)
     rewards = np.array([step.rewards[0] for step in deployed], np.float64)
     ends = np.array([step.terminated | step.truncated for step in deployed])
     returns = [
@@ -142,6 +145,46 @@ def test_scores_of_other_policies_are_refused(
     mixed.offline(0).write_text(finished.offline(1).read_text())
     with pytest.raises(UserError, match="of other policies"):
         runs.run_arm(mixed, base, 0, "uniform", KNOWN[REFERENCE], VERSIONS, silent)
+
+
+def test_an_arm_that_trains_otherwise_begins_from_its_own_pi_0(
+    finished: ComparisonFolder, base: Description, scores: dict[tuple[int, str], Run]
+) -> None:
+    own = ("algorithm.discount=0.5", *KNOWN[REFERENCE])
+    for agent in ("agent_0", "agent_1", "agent_2"):
+        runs.train_offline(finished, base, 0, agent, silent, own)
+    runs.evaluate_offline(finished, base, 0, own)
+    before = finished.offline(0).read_bytes()
+    found = runs.run_arm(finished, base, 0, "greedy", own, VERSIONS, silent)
+    finished.run(0, "greedy").unlink()
+    shared = scores[0, REFERENCE]
+    assert finished.offline(0).read_bytes() == before
+    assert found.offline != shared.offline
+    assert found.evaluations[0].policies != shared.evaluations[0].policies
+    summary = summarise({REFERENCE: [shared], "greedy": [found]}, lambda value: None)
+    assert [arm.own_pi_0 for arm in summary.arms] == [False, True]
+
+
+def test_tuning_goes_back_to_the_best_policy_where_it_is_asked_to(
+    finished: ComparisonFolder, base: Description, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimates = iter([Measured(2.0, 0.1, 4), Measured(1.0, 0.1, 4)])
+    monkeypatch.setattr(team, "measured", lambda steps, h: next(estimates))
+    begun: list[dict[str, str]] = []
+    tune = Learner.tune
+
+    def noticed(learner: Learner, k: int, *rest: Any) -> None:
+        begun.append({learner.spec.name: learner.policy_digest()})
+        tune(learner, k, *rest)
+
+    monkeypatch.setattr(Learner, "tune", noticed)
+    assignments = (*KNOWN[REFERENCE], "deployment.revert=true")
+    found = runs.run_arm(finished, base, 0, "back", assignments, VERSIONS, silent)
+    finished.run(0, "back").unlink()
+    assert found.best == 1
+    first = found.evaluations[0].policies
+    assert all({name: first[name]} == one for name, one in zip(first, begun[3:], strict=True))
+    assert found.evaluations[1].policies != first
 
 
 @pytest.mark.parametrize(

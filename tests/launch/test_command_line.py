@@ -50,6 +50,9 @@ SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
         (["--resume", "nowhere"], "is no run folder"),
         (["3agent_hopper", "--resume", "nowhere"], "leave out a description"),
         (["--resume", "nowhere", "--seed", "0"], "leave out --seed"),
+        (["--resume", "nowhere", "--arm", "uniform"], "leave out --arm"),
+        (["3agent_hopper", "--arm", "otc-embeding"], "did you mean 'otc-embedding'?"),
+        (["3agent_hopper", "--arm", "perfect"], "is an arm of `launch compare` only"),
     ],
 )
 def test_a_mistake_is_one_line(
@@ -174,6 +177,18 @@ def test_list_names_every_description(capsys: pytest.CaptureFixture[str]) -> Non
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert listed == sorted(descriptions.shipped())
     assert {"3agent_hopper", "predator_prey", "cooperative_navigation", "navigation"} <= {*listed}
+
+
+def test_a_run_takes_an_arm_of_comparisons_and_set_comes_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = ("--arm", "balanced", "--dry-run", *SHORT)
+    assert main(["3agent_hopper", *flags]) == 0
+    out = capsys.readouterr().out
+    assert "tuned by balanced sampling" in out and "runs/3agent_hopper-balanced-seed0" in out
+    assert main(["3agent_hopper", *flags, "--set", "sampling.name=online-only"]) == 0
+    assert "tuned by online-only sampling" in capsys.readouterr().out
 
 
 def test_dry_run_prints_the_plan_and_starts_nothing(

@@ -1,0 +1,48 @@
+"""What agents would do now, in states that they are not in: for analyses, which may ask it."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from otc_dist.action_scale import ActionScale
+from otc_dist.algorithms.bcq import Bcq
+from otc_dist.algorithms.draws import draw, to_tensors
+from otc_dist.learner import Learner
+from otc_dist.spec import AgentSpec
+from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
+
+CHUNK = 2048  # states asked about at once
+CANDIDATES = 10  # actions that BCQ decodes to choose from: a tenth of what it does to act
+
+
+def would_do(learner: Learner, observations: Float32, random: np.random.Generator) -> Float32:
+    """Actions (N, a) of the policy that `learner` holds now, in the environment's units.
+
+    Args:
+        observations: (N, s).
+        random: for policies that are stochastic, as BCQ's is.
+    """
+    algorithm, state = learner.policy
+    if isinstance(algorithm, Bcq):
+        algorithm = replace(algorithm, acting_candidates=CANDIDATES)
+    device = next(iter(state.values())).device
+    found = []
+    with torch.no_grad():
+        for start in range(0, len(observations), CHUNK):
+            part = torch.tensor(observations[start : start + CHUNK], device=device)
+            noise = to_tensors(draw(random, algorithm.acting_noise(len(part)), 1), device)
+            draws = {name: array[0] for name, array in noise.items()}
+            found.append(algorithm.act(state, part, draws).cpu().numpy())
+    return ActionScale(learner.spec).unscaled(np.concatenate(found))
+
+
+def packed(spec: AgentSpec, data: Transitions) -> Tensor:
+    """Packed rows (N, width), as in the agent's replay buffer: actions scaled to [-1, 1]."""
+    layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
+    buffer = ReplayBuffer(layout, len(data))
+    buffer.append(data, offline=True)
+    actions = buffer.rows[:, layout.action]
+    actions[:] = ActionScale(spec).scaled(actions)
+    return torch.from_numpy(buffer.rows)
