@@ -14,6 +14,7 @@ from torch import Tensor
 from otc_dist.algorithms.draws import Draw, Draws, draw
 from otc_dist.algorithms.interface import State
 from otc_dist.description import SamplingSection
+from otc_dist.otc.acceptance import conformal, share
 from otc_dist.otc.acceptance.rank import RankMatched
 from otc_dist.otc.distances.value import ValueDistance
 from otc_dist.otc.samplers import Data, Extent
@@ -146,6 +147,30 @@ def sampled_dynamics(sets: Sets, alpha: float, *, replace: bool, minibatches: in
         draws["alpha"] = torch.tensor(alpha)
         chosen.append(sampler.select({}, sampler.gather({}, data, draws), draws).rows.numpy())
     return frequencies(sets.rows[np.concatenate(chosen)])
+
+
+def weighted_dynamics(sets: Sets, acceptance: str) -> Float:
+    """P(s'|s, a) in B_1 as `share` or `conformal` weighs it, by how far s' is from what D_1 lets
+    expect after (s, a): the squared residual of s' as a one-hot vector, each half of D_1 judged by
+    the other's mean.
+    """
+    rows, offline = sets.rows, sets.offline
+    half = np.arange(len(rows)) % 2
+    newest = np.arange(len(rows)) >= offline
+    judge = np.where(newest, 1 - half, half)
+    scores = np.empty(len(rows))
+    for fold in (0, 1):
+        expected = frequencies(rows[newest & (half == fold)])
+        s, a, then = rows[judge == fold].T
+        residual = np.eye(STATES)[then] - expected[s, a]
+        scores[judge == fold] = (residual**2).sum(-1)
+    weigh = {"share": share.weights, "conformal": conformal.weights}[acceptance]
+    extent = Extent(offline, offline, len(rows))
+    weights = weigh(SamplingSection(), torch.from_numpy(scores), extent).double().numpy()
+    weights[offline:] = 1.0
+    counts = np.zeros((STATES, ACTIONS, STATES))
+    np.add.at(counts, tuple(rows.T), weights)
+    return counts / counts.sum(-1, keepdims=True)
 
 
 def rank_acceptance(offline: Float, online: Float, alpha: float, candidates: int = 512) -> Float:

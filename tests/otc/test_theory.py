@@ -24,6 +24,7 @@ from .tabular import (
     rank_acceptance,
     sampled_dynamics,
     seen_by_one,
+    weighted_dynamics,
 )
 
 METHOD = Path(__file__).parents[2] / "docs" / "method.md"
@@ -78,6 +79,8 @@ def measured(case: str) -> dict[str, float]:
         "sampled": sampled_dynamics(sets, 1.0, replace=False),
         "with replacement": sampled_dynamics(sets, 1.0, replace=True),
         "exactly": exact,
+        "share": weighted_dynamics(sets, "share"),
+        "conformal": weighted_dynamics(sets, "conformal"),
     }
     return {name: float(kl(ONLINE, dynamics).mean()) for name, dynamics in found.items()}
 
@@ -97,6 +100,11 @@ def test_algorithm_1_raises_the_divergence_where_the_dynamics_are_the_same() -> 
         assert found["P_B"] + 0.01 < found[way] < 0.2, way
 
 
+def test_conformal_acceptance_does_no_harm_where_the_dynamics_are_the_same() -> None:
+    assert measured("the same")["conformal"] < 0.005
+    assert measured("differ")["conformal"] < measured("differ")["P_B"]
+
+
 @pytest.mark.parametrize("case", ["differ", "the same"])
 def test_what_algorithm_1_samples_is_the_modified_p_b(case: str) -> None:
     """With replacement Eq. 3 is the acceptance f, up to the chance of a finite minibatch."""
@@ -110,7 +118,8 @@ def test_the_documentation_states_what_is_measured_here(case: str) -> None:
     assert row is not None
     stated = [float(cell) for cell in row[1].split("|")]
     found = measured(case)
-    expected = [found[way] for way in ("P_B", "sampled", "with replacement", "exactly")]
+    ways = ("P_B", "sampled", "with replacement", "exactly", "share", "conformal")
+    expected = [found[way] for way in ways]
     np.testing.assert_allclose(stated, expected, atol=0.006)
 
 
