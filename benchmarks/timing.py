@@ -95,6 +95,20 @@ def tuning(learner: "Learner", online: Transitions) -> Turn:
     return turn
 
 
+def preparing(learner: "Learner", online: Transitions) -> Turn:
+    """Turns of what `Learner.tune` does before the updates of a deployment: merging, fitting and
+    scoring, in milliseconds.
+    """
+
+    def turn(number: int) -> float:
+        marks: list[float] = []
+        start = time.process_time()
+        learner.tune(number, online, lambda progress: marks.append(time.process_time()))
+        return (marks[0] - start) * 1e3
+
+    return turn
+
+
 def sections() -> dict[str, type[AlgorithmSection]]:
     """The description's section of every algorithm, by name."""
     (union, *_) = get_args(AlgorithmSection)
@@ -113,6 +127,7 @@ def describe(env_id: str, rounds: int, *assignments: str) -> Description:
         (
             "offline.updates=0",
             "embedding.updates=1",
+            "dynamics.updates=1",
             "embedding.minimum_active=0",
             "sampling.similarity_sample=64",  # measured before the updates, not timed
             f"deployment.count={rounds + 1}",
