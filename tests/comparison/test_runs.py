@@ -144,10 +144,15 @@ def test_scores_of_other_policies_are_refused(
         runs.run_arm(mixed, base, 0, "uniform", KNOWN[REFERENCE], VERSIONS, silent)
 
 
+@pytest.mark.parametrize(
+    "own", [("algorithm.discount=0.5", *KNOWN[REFERENCE]), KNOWN["typical-offline"]]
+)
 def test_an_arm_that_trains_otherwise_begins_from_its_own_pi_0(
-    finished: ComparisonFolder, base: Description, scores: dict[tuple[int, str], Run]
+    own: tuple[str, ...],
+    finished: ComparisonFolder,
+    base: Description,
+    scores: dict[tuple[int, str], Run],
 ) -> None:
-    own = ("algorithm.discount=0.5", *KNOWN[REFERENCE])
     for agent in ("agent_0", "agent_1", "agent_2"):
         runs.train_offline(finished, base, 0, agent, silent, own)
     runs.evaluate_offline(finished, base, 0, own)
