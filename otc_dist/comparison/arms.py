@@ -36,6 +36,7 @@ KNOWN: Arms = {
     "paper-embedding": _of("embedding", *_RANK, *_PAPER),
     "paper-value": _of("value", *_RANK, *_PAPER),
     "dynamics-conformal": _of("dynamics", "sampling.name=otc", "sampling.acceptance=conformal"),
+    "typical-offline": ("offline.rows=typical", "sampling.name=uniform"),
     REFERENCE: ("sampling.name=uniform",),
     "rlpd": ("sampling.name=uniform", "sampling.online_share=0.5"),
     "online-only": ("sampling.name=online-only",),

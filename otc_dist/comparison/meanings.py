@@ -21,6 +21,7 @@ MEANINGS: Mapping[str, str] = {
     "paper-embedding": "otc-embedding as the paper has it: what imitates sees the same batch",
     "paper-value": "otc-value as the paper has it, its normaliser too",
     "dynamics-conformal": "d_f, accepting what the newest deployment itself could have held",
+    "typical-offline": "uniform, from a pi_0 of its own, trained on the typical tenth of B_0",
     REFERENCE: "all of B_k alike: the reference",
     "rlpd": "half of every batch online data, the rest from B_k (RLPD)",
     "online-only": "the deployments' data alone",

@@ -8,7 +8,7 @@ so 1 is no effect.
 """
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 import torch
@@ -36,6 +36,7 @@ class Selected:
     mismatch: float  # of |a_-i - pi_-i(s)|
     offline: float  # the same of B_0's transitions alone, to uniform sampling from B_0
     error: float  # of |s' - s'_now|^2, by the simulator
+    offline_error: float  # the same of B_0's transitions alone
     value: float  # of V(s')
     online: float  # no ratio: the share of D_1's own transitions, which match themselves
 
@@ -82,7 +83,7 @@ def _selected(
     sampling = description.sampling
     of_row, wanted = ways(description, specimen, pool), noise(description, specimen)
     newest = np.arange(pool.size, len(pool.mismatch))
-    sums = {row: np.zeros(5) for row in of_row}
+    sums = {row: np.zeros(len(fields(Selected))) for row in of_row}
     for number in range(MINIBATCHES):
         random = stream(description.seed, "mechanism", agent, number)
         count = min(sampling.references, len(newest))

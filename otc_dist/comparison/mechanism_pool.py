@@ -39,12 +39,12 @@ class Pool:
     priorities: Tensor  # (size,) Balanced Replay's
 
     def means(self, rows: Tensor) -> Float64:
-        """Of `rows`: mismatch, mismatch of B_0's among them, error of s', V(s'), and the share of
-        D_1's.
+        """Of `rows`: mismatch and error of s', of all and of B_0's among them, V(s'), and the share
+        of D_1's; in the order of `mechanism.Selected`.
         """
-        mismatch, online = self.mismatch[rows], self.online[rows]
-        offline = mismatch[~online]
-        parts = (mismatch, offline, self.error[rows], self.value[rows], online.float())
+        mismatch, error, online = self.mismatch[rows], self.error[rows], self.online[rows]
+        offline = (mismatch[~online], error[~online])
+        parts = (mismatch, offline[0], error, offline[1], self.value[rows], online.float())
         return np.array([float(part.mean()) for part in parts])
 
 

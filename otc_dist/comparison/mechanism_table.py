@@ -19,6 +19,7 @@ COLUMNS = {
     "mismatch": "mismatch",
     "offline": "mismatch in B_0",
     "error": "error of s'",
+    "offline_error": "error in B_0",
     "value": "V(s')",
     "online": "share of D_1",
 }
@@ -53,6 +54,7 @@ class Row:
     mismatch: Estimate  # of |a_-i - pi_-i(s)|, B_1
     offline: Estimate  # the same of B_0's transitions alone
     error: Estimate  # of the squared error of s'; NaN where no simulator tells it
+    offline_error: Estimate  # the same of B_0's transitions alone
     value: Estimate  # of V(s'); NaN without a Q
     online: Estimate  # the share of D_1's own transitions
 

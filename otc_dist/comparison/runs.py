@@ -33,7 +33,7 @@ from otc_dist.errors import UserError
 from otc_dist.exploration import Schedule
 from otc_dist.keeping import reverted
 from otc_dist.learner import Learner, Progress
-from otc_dist.measured import Measured, horizon
+from otc_dist.measured import Measured, TooFewError, horizon
 from otc_dist.otc.samplers import Sampler
 from otc_dist.processor import processor
 from otc_dist.run_folder import RunFolder
@@ -183,7 +183,7 @@ def _measured(steps: Sequence[JointStep], h: int) -> Measured | None:
     """What a deployment said of its policies; None if too few episodes began early enough."""
     try:
         return team.measured(steps, h)
-    except UserError:
+    except TooFewError:
         return None
 
 

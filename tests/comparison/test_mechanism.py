@@ -63,6 +63,9 @@ def test_the_nearer_the_others_are_the_truer_is_the_next_state(measured: Mechani
     assert error[UNIFORM] == pytest.approx(1, abs=0.1)
     assert error[ORACLE] < 0.9 and error[ORACLE_TENTH] < error[ORACLE]
     assert error[ONLINE] < 0.5  # the same policies, by other noise
+    in_b_0 = {row.name: row.offline_error.mean for row in measured.rows}
+    assert in_b_0[UNIFORM] == pytest.approx(1, abs=0.1) and math.isnan(in_b_0[ONLINE])
+    assert error[ORACLE_TENTH] < in_b_0[ORACLE_TENTH] < 0.9  # without D_1's, which are as now
     assert "error of s'" in "\n".join(measured.lines())
 
 
