@@ -11,6 +11,8 @@ from otc_dist.errors import unknown
 QUICK = (
     "dataset.transitions=8000",
     "embedding.updates=200",
+    "dynamics.updates=200",
+    "dynamics.correction_updates=50",
     "offline.updates=500",
     "deployment.count=2",
     "deployment.fraction=0.05",
