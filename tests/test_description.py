@@ -83,6 +83,9 @@ MISTAKES = {
     "sampling.aplha=1": "unknown key 'sampling.aplha'; did you mean 'sampling.alpha'?",
     "samplings.alpha=1": "unknown key 'samplings'; did you mean 'sampling'?",
     "sampling.distance=valeu": "unknown sampling.distance 'valeu'; did you mean 'value'?",
+    "sampling.acceptance=shared": "unknown sampling.acceptance 'shared'; did you mean 'share'?",
+    "sampling.online_share=1": "sampling.online_share: input should be less than 1",
+    "sampling.share=0": "sampling.share: input should be greater than 0, not 0",
     "sampling.name=onlineonly": "did you mean 'online-only'?",
     "engine.name=cuda": "did you mean 'cuda-graph'?",
     "algorithm.name=dqn": "unknown algorithm.name 'dqn'; known: awac, bcq, bremen, ",
@@ -110,6 +113,16 @@ def test_a_mistake_is_one_line_that_helps(assignment: str, expected: str) -> Non
     message = str(caught.value)
     assert expected in message
     assert "\n" not in message and len(message) < 400
+
+
+def test_what_cannot_go_together_is_one_line() -> None:
+    conformal = ("sampling.acceptance=conformal", "sampling.level=0.01")
+    with pytest.raises(UserError, match="needs deployments of at least 99 transitions, not 98"):
+        minimal(*conformal, "deployment.transitions=98")
+    minimal(*conformal, "deployment.transitions=99")
+    for name in ("balanced", "online-only"):
+        with pytest.raises(UserError, match=f"{name} chooses its online data itself"):
+            minimal(f"sampling.name={name}", "sampling.online_share=0.5")
 
 
 def test_any_batch_size_without_otc() -> None:
@@ -197,9 +210,27 @@ OTHER = {
     "sampling.normaliser": "paper",
     "engine.name": "eager",
     "embedding.hidden": [3],
+    "dynamics.hidden": [3],
+    "dynamics.correction_hidden": [3],
+    "sampling.acceptance": "share",
+    "sampling.corrects": "all",
+    "sampling.share": 0.5,
+    "sampling.level": 0.5,
+    "sampling.online_share": 0.5,
+    "offline.rows": "typical",
+    "offline.share": 0.5,
     "bus.router": "tls/192.0.2.1:7447",
 }
-OFFLINE = ("seed", "env.id", "dataset", "algorithm", "embedding", "offline", "engine")
+OFFLINE = (
+    "seed",
+    "env.id",
+    "dataset",
+    "algorithm",
+    "embedding",
+    "dynamics",
+    "offline",
+    "engine",
+)
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,7 @@ TOLD = (
     ("algorithm", "name"),
     ("sampling", "name"),
     ("sampling", "distance"),
+    ("sampling", "acceptance"),
 )
 
 
@@ -107,7 +108,8 @@ class Description(Section):
                 f" {math.ceil(1 / sampling.level) - 1} transitions, not {deployed}: no p-value"
                 " among fewer is as small"
             )
-        if otc and not batch <= sampling.candidates:
+        ranked = otc and sampling.acceptance == "rank"
+        if ranked and not batch <= sampling.candidates:
             raise ValueError(
                 f"algorithm.batch_size ({batch}) must not exceed sampling.candidates"
                 f" ({sampling.candidates}), from which it is drawn"
@@ -179,7 +181,8 @@ class Description(Section):
     def heading(self) -> str:
         """The summary, or the same told by the names of the settings."""
         sampling = self.sampling
-        tuned = f"OTC with the {sampling.distance} distance" if sampling.name == "otc" else ""
+        titled = DISTANCES[sampling.distance].title
+        tuned = f"OTC, {titled} by {sampling.acceptance}" if sampling.name == "otc" else ""
         return self.summary or (
             f"{self.dataset.name}: {self.algorithm.name} tuned by"
             f" {tuned or sampling.name + ' sampling'}"
