@@ -12,10 +12,10 @@ from otc_dist.transitions import Transitions
 SPEC = AgentSpec("agent_0", 5, action_low=(-0.1, -1.0), action_high=(0.3, 3.0))
 ONLINE = 40  # transitions of a deployment
 ARMS = {
-    "otc-embedding": ("sampling.distance=embedding",),
-    "otc-value": ("sampling.distance=value",),
-    "otc-change": ("sampling.distance=change",),
-    "otc-dynamics": ("sampling.distance=dynamics",),
+    "otc-embedding": ("sampling.distance=embedding", "sampling.acceptance=rank"),
+    "otc-value": ("sampling.distance=value", "sampling.acceptance=rank"),
+    "otc-change": ("sampling.distance=change", "sampling.acceptance=rank"),
+    "otc-dynamics": ("sampling.distance=dynamics", "sampling.acceptance=rank"),
     "dynamics-share": ("sampling.distance=dynamics", "sampling.acceptance=share"),
     "typical-conformal": (
         "sampling.distance=typical",
@@ -24,7 +24,11 @@ ARMS = {
     ),
     "value-share": ("sampling.distance=value", "sampling.acceptance=share"),
     "random-share": ("sampling.distance=random", "sampling.acceptance=share"),
-    "otc-all": ("sampling.distance=embedding", "sampling.corrects=all"),
+    "otc-all": (
+        "sampling.distance=embedding",
+        "sampling.acceptance=rank",
+        "sampling.corrects=all",
+    ),
     "rlpd": ("sampling.name=uniform", "sampling.online_share=0.5"),
     "uniform": ("sampling.name=uniform",),
     "online-only": ("sampling.name=online-only",),

@@ -96,7 +96,6 @@ MISTAKES = {
     "seed=1.5": "seed: input should be a valid integer",
     "seed=-1": "seed: input should be greater than or equal to 0, not -1",
     "algorithm.hidden=[64, 0]": "algorithm.hidden.1: input should be greater than 0, not 0",
-    "algorithm.batch_size=513": "must not exceed sampling.candidates (512)",
     "sampling=3": "sampling is a section: write sampling.KEY",
     "name.first=1": "'name' is a value, not a section",
     "sampling.alpha": "write section.key=value, like sampling.alpha=0.5",
@@ -120,6 +119,9 @@ def test_what_cannot_go_together_is_one_line() -> None:
     with pytest.raises(UserError, match="needs deployments of at least 99 transitions, not 98"):
         minimal(*conformal, "deployment.transitions=98")
     minimal(*conformal, "deployment.transitions=99")
+    with pytest.raises(UserError, match=r"must not exceed sampling.candidates \(512\)"):
+        minimal("sampling.acceptance=rank", "algorithm.batch_size=513")
+    minimal("algorithm.batch_size=513")
     for name in ("balanced", "online-only"):
         with pytest.raises(UserError, match=f"{name} chooses its online data itself"):
             minimal(f"sampling.name={name}", "sampling.online_share=0.5")
@@ -180,7 +182,7 @@ def test_a_summary_is_not_kept_for_something_else() -> None:
     }
     assert Description.build(data, ["sampling.alpha=2.0"]).heading == "two of a flock"
     three = Description.build(data, ["env.agents=3"])
-    assert three.heading == "flock-3/random: bcq tuned by OTC with the embedding distance"
+    assert three.heading == "flock-3/random: bcq tuned by OTC, typical by share"
     uniform = Description.build(data, ["sampling.name=uniform"])
     assert uniform.heading == "flock-2/random: bcq tuned by uniform sampling"
     assert Description.build(data, ["env.agents=3", "summary=mine"]).heading == "mine"
@@ -212,7 +214,7 @@ OTHER = {
     "embedding.hidden": [3],
     "dynamics.hidden": [3],
     "dynamics.correction_hidden": [3],
-    "sampling.acceptance": "share",
+    "sampling.acceptance": "rank",
     "sampling.corrects": "all",
     "sampling.share": 0.5,
     "sampling.level": 0.5,

@@ -77,11 +77,11 @@ class SamplingSection(Section):
 
     name: SamplingName = "otc"
     distance: DistanceName = Field(
-        default="embedding",
+        default="typical",
         description="; ".join(f"{name}: {facts.meaning}" for name, facts in DISTANCES.items()),
     )
     acceptance: AcceptanceName = Field(
-        default="rank",
+        default="share",
         description="rank: Eq. 3, by the rank in a minibatch; share: the best share of B_k;"
         " conformal: what D_k itself could have looked like",
     )
