@@ -84,7 +84,7 @@ def assert_pure(
     before = {name: tensor.clone() for name, tensor in state.items()}
     other = torch.ones(3)
     noise = first(draw(np.random.default_rng(1), algorithm.noise(BATCH), 1))
-    new, _ = algorithm.update({**state, "sampler_weights": other}, batch, noise)
+    new, _ = algorithm.update({**state, "sampler_weights": other}, batch, batch, noise)
     assert new.pop("sampler_weights") is other
     for name, tensor in before.items():
         assert torch.equal(state[name], tensor), name

@@ -275,7 +275,7 @@ def test_optimizers_and_targets_outlive_deployments(name: str, tmp_path: Path) -
     learner = pretrained(name)
     learner.tune(1, online(name, 1), silent)
     learner.save(tmp_path / "tuned")
-    state = checkpoint.parts(checkpoint.read(tmp_path / "tuned")[0], "algorithm")["algorithm"]
+    state = checkpoint.parts(checkpoint.read(tmp_path / "tuned")[0])["algorithm"]
     assert state["updates"] == OFFLINE_UPDATES + TUNING_UPDATES
     moments = [key for key in state if key.endswith("_moments")]
     assert moments
@@ -328,7 +328,7 @@ def test_the_wrong_kind_of_actions_is_refused(name: str) -> None:
 @EACH
 def test_d_q_needs_a_q(name: str) -> None:
     if SECTIONS[name].has_q:
-        learner = pretrained(name, "sampling.distance=value")
+        learner = pretrained(name, "sampling.distance=value", "sampling.acceptance=rank")
         learner.tune(1, online(name, 1), silent)
         assert np.isfinite(learner.alpha.similarity)
     else:

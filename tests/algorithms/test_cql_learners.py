@@ -13,7 +13,9 @@ from .. import brains
 
 CHOICES = 5
 DISCRETE = AgentSpec("agent_0", 4 + CHOICES, (0.0,), (CHOICES - 1.0,), choices=CHOICES)
-DISTANCES = ("sampling.distance=embedding", "sampling.distance=value")
+DISTANCES = tuple(
+    f"sampling.distance={name}" for name in ("embedding", "value", "dynamics", "typical")
+)
 
 
 def masked(seed: int, count: int) -> Transitions:
