@@ -8,6 +8,7 @@ from pathlib import Path
 from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison import collected, meanings, report, tables
 from otc_dist.comparison.arms import Arms
+from otc_dist.comparison.picture import picture
 from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.comparison.statistics import summarise
 from otc_dist.description import Description
@@ -37,6 +38,8 @@ def main(argv: list[str]) -> int:
         UserError: anything the user can mend: one line, status 2.
     """
     arguments = _parser().parse_args(argv)
+    if arguments.picture is not None and arguments.tables is None:
+        raise UserError("--picture draws what --tables shows: give both")
     if arguments.tables is not None:
         return _show(arguments)
     if arguments.description is None:
@@ -64,6 +67,13 @@ def _show(arguments: argparse.Namespace) -> int:
     found = collected.collect(arguments.tables)
     print(f"{found.name}, {found.dataset}; on {tables.processors(found.runs)}")
     print("\n".join(tables.text(summarise(found.runs, found.normalise))))
+    if arguments.picture is not None:
+        seeds = max(len(of_arm) for of_arm in found.runs.values())
+        title = f"{found.dataset}: the recommended policy, mean ± standard error of {seeds} seeds"
+        try:
+            arguments.picture.write_text(picture(found.runs, title), encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"cannot write {arguments.picture}: {error.strerror}") from None
     return 0
 
 
@@ -191,6 +201,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FOLDER",
         help="run nothing: print all tables of the raw scores in a comparison's folder, or in one"
         " that --results made",
+    )
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE.svg",
+        help="with --tables: draw what is recommended after each deployment",
     )
     parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
     return parser

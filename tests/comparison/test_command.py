@@ -2,6 +2,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -113,6 +114,11 @@ def test_tables_need_the_raw_scores_only(
         assert tables in shown  # to the letter
         words = ("minus pi_0", "minus uniform", "by t", "IQM", "worst deployed policy")
         assert all(word in tables for word in words)
+    drawn = tmp_path / "returns.svg"
+    assert compare.main(["--tables", str(kept), "--picture", str(drawn)]) == 0
+    assert capsys.readouterr().out.split("\n", 1)[1].strip() == tables
+    curves = ElementTree.fromstring(drawn.read_text()).iter("{http://www.w3.org/2000/svg}path")
+    assert sum(path.get("class") == "curve" for path in curves) >= 3  # an arm's each, and legends
     (kept / "seed_01" / "uniform.json").unlink()
     assert compare.main(["--tables", str(kept)]) == 0
     assert "of 1 seeds" in capsys.readouterr().out
@@ -160,6 +166,8 @@ def test_tables_run_nothing_and_so_take_no_other_flag(tmp_path: Path) -> None:
         compare.main(["--tables", str(tmp_path), "--seeds", "0"])
     with pytest.raises(UserError, match="leave out description"):
         compare.main(["3agent_hopper", "--tables", str(tmp_path)])
+    with pytest.raises(UserError, match="--picture draws what --tables shows: give both"):
+        compare.main(["3agent_hopper", "--picture", str(tmp_path / "a.svg")])
     with pytest.raises(UserError, match="compare which description"):
         compare.main([])
 

@@ -7,6 +7,8 @@ from scipy import stats
 from otc_dist.comparison import tables
 from otc_dist.comparison.arms import NULL, PERFECT, REFERENCE
 from otc_dist.comparison.intervals import Difference, bootstrap, interquartile_mean
+from otc_dist.comparison.judgement import recommended
+from otc_dist.comparison.picture import so_far
 from otc_dist.comparison.scores import Evaluation, Run, best_of
 from otc_dist.comparison.statistics import Summary, summarise
 from otc_dist.measured import Measured
@@ -264,3 +266,9 @@ def test_no_gain_is_claimed_that_the_null_arm_also_shows() -> None:
         otc_value=steady(50, 10), uniform=steady(0, 10, 0), uniform_null=steady(60, 10)
     )
     assert "no arm differs from uniform by more than chance does" in summary.conclusion
+
+
+def test_what_is_recommended_after_each_deployment_is_the_best_so_far() -> None:
+    found = run("uniform", 0, 100.0, 300.0, 200.0, 400.0)  # deployments measure pi_0 .. pi_2
+    assert so_far(found) == [100.0, 300.0, 300.0]
+    assert so_far(found)[-1] == recommended(found)
