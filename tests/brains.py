@@ -1,5 +1,6 @@
 """Small brains and small data for the tests of the learner and what it is made of."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,3 +91,13 @@ def pretrained(*assignments: str, **arguments: Any) -> Learner:
     learner = brain(*assignments, **arguments)
     learner.pretrain(silent, unsaved)
     return learner
+
+
+def finished(learner: Learner, path: Path) -> bytes:
+    """The last checkpoint after all that is left to do."""
+    learner.pretrain(silent, unsaved)
+    for k in (1, 2):
+        if learner.tuned < k:
+            learner.tune(k, online(k), silent)
+    learner.save(path)
+    return path.read_bytes()

@@ -42,3 +42,11 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def tiny_flags() -> tuple[str, ...]:
     """Flags that turn a description of a robot into a run of seconds, with every phase."""
     return tuple(part for value in TINY for part in ("--set", value))
+
+
+@pytest.fixture
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks and checkpoints of a learner in the proportions of a real run, ten times smaller."""
+    for user in ("trainer", "otc.distances.embedding", "otc.forward"):
+        monkeypatch.setattr(f"otc_dist.{user}.BLOCK", 10)
+    monkeypatch.setattr("otc_dist.learner.SAVE_EVERY", 10)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,30 +22,24 @@ from otc_dist.learner import Learner, Progress
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 
-from .brains import ARMS, SPEC, brain, describe, online, pretrained, silent, transitions, unsaved
+from .brains import (
+    ARMS,
+    SPEC,
+    brain,
+    describe,
+    finished,
+    online,
+    pretrained,
+    silent,
+    transitions,
+    unsaved,
+)
 
 OBSERVATIONS = transitions(7, 3).observations
 
 
-@pytest.fixture(autouse=True)
-def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks and checkpoints in the proportions of a real run, ten times smaller."""
-    for user in ("trainer", "otc.distances.embedding", "otc.forward"):
-        monkeypatch.setattr(f"otc_dist.{user}.BLOCK", 10)
-    monkeypatch.setattr("otc_dist.learner.SAVE_EVERY", 10)
-
-
+pytestmark = pytest.mark.usefixtures("small_blocks")
 EACH_ARM = pytest.mark.parametrize("arm", ARMS)
-
-
-def finished(learner: Learner, path: Path) -> bytes:
-    """The last checkpoint after all that is left to do."""
-    learner.pretrain(silent, unsaved)
-    for k in (1, 2):
-        if learner.tuned < k:
-            learner.tune(k, online(k), silent)
-    learner.save(path)
-    return path.read_bytes()
 
 
 def test_training_that_diverges_is_one_line() -> None:
@@ -399,98 +392,3 @@ def test_embedding_of_real_data_keeps_more_than_three_dimensions(env: str) -> No
     Learner(usual, spec, data).pretrain(reports.append, unsaved)
     assert reports[-1].metrics["active_dimensions"] > 3
     assert reports[-1].metrics["embedding_loss"] < 0.1  # and it reconstructs actions
-
-
-@EACH_ARM
-def test_going_back_takes_an_earlier_policy_and_keeps_all_data(arm: str, tmp_path: Path) -> None:
-    """After D_1 and D_2 on from pi_0: other than from pi_1, and the same whenever it is done."""
-    learner = pretrained(*ARMS[arm], "deployment.count=3")
-    learner.save(tmp_path / "pi_0")
-    learner.tune(1, online(1), silent)
-    learner.save(tmp_path / "pi_1")
-    learner.tune(2, online(2), silent)
-    forth = learner.policy_digest()
-
-    digests = set()
-    for again in range(2):
-        back = brain(*ARMS[arm], "deployment.count=3")
-        back.load(tmp_path / "pi_1")
-        back.restore([online(1)])
-        alpha = back.alpha
-        back.revert(tmp_path / "pi_0")
-        assert (back.tuned, back.alpha) == (1, alpha)
-        fresh = pretrained(*ARMS[arm], "deployment.count=3")
-        acts = (OBSERVATIONS, "evaluation", 0, 0)
-        assert back.act(*acts).tobytes() == fresh.act(*acts).tobytes()
-        back.tune(2, online(2), silent)
-        digests.add(back.policy_digest())
-        back.save(tmp_path / f"back_{again}")
-    assert len(digests) == 1 and forth not in digests
-
-
-def test_going_back_to_what_is_lost_or_of_another_is_refused(tmp_path: Path) -> None:
-    learner = pretrained(*ARMS["uniform"])
-    with pytest.raises(UserError, match="no checkpoint at"):
-        learner.revert(tmp_path / "nothing")
-    pretrained(*ARMS["uniform"], "seed=1").save(tmp_path / "other")
-    before = learner.policy_digest()
-    with pytest.raises(UserError, match="another description"):
-        learner.revert(tmp_path / "other")
-    assert learner.policy_digest() == before
-
-
-def test_what_imitates_sees_a_plain_sample() -> None:
-    """Of the whole B_k, whatever the values see; with `all` both see the corrected batch."""
-    for corrects, same in (("values", False), ("all", True)):
-        learner = pretrained(
-            *ARMS["otc-embedding"], f"sampling.corrects={corrects}", "sampling.alpha=20"
-        )
-        vae, critic = learner._state["vae"], learner._state["critic"]
-        learner.tune(1, online(1), silent)
-        plain = pretrained(*ARMS["otc-embedding"], f"sampling.corrects={corrects}")
-        plain.tune(1, online(1), silent)
-        # Another alpha changes which rows the values see; the imitation only where it sees them.
-        assert torch.equal(learner._state["vae"], plain._state["vae"]) is not same
-        assert not torch.equal(learner._state["critic"], plain._state["critic"])
-        assert not torch.equal(learner._state["vae"], vae)
-        assert not torch.equal(learner._state["critic"], critic)
-
-
-def test_in_turns_one_agent_tunes_after_each_deployment() -> None:
-    """By the deployment's number, without a message; the others merge what they saw."""
-    moved: list[list[bool]] = []
-    for index in range(3):
-        description = describe(*ARMS["uniform"], "deployment.turns=true", "deployment.count=4")
-        learner = Learner(description, SPEC, transitions(0, 200), place=(index, 3))
-        learner.pretrain(silent, unsaved)
-        digests = [learner.policy_digest()]
-        for k in range(1, 5):
-            learner.tune(k, online(k), silent)
-            digests.append(learner.policy_digest())
-        assert learner.tuned == 4 and learner._experience.extent.size == 200 + 4 * 40
-        moved.append([now != before for before, now in pairwise(digests)])
-    assert moved == [
-        [True, False, False, True],
-        [False, True, False, False],
-        [False, False, True, False],
-    ]
-
-
-def test_offline_training_on_typical_rows_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
-    typical = ("offline.rows=typical", *ARMS["uniform"])
-    whole = finished(brain(*typical), tmp_path / "whole")
-    assert whole != finished(brain(*ARMS["uniform"]), tmp_path / "all")
-
-    class StoppedError(Exception):
-        pass
-
-    def save() -> None:
-        stopped.save(tmp_path / "unfinished")
-        raise StoppedError
-
-    stopped = brain(*typical)
-    with pytest.raises(StoppedError):
-        stopped.pretrain(silent, save)
-    again = brain(*typical)
-    again.load(tmp_path / "unfinished")
-    assert finished(again, tmp_path / "again") == whole
