@@ -74,9 +74,9 @@ def _write_tunings(
     channels: FoxgloveChannels, tunings: Tunings, deployment: int, log_time: int
 ) -> None:
     for agent, by_deployment in tunings.items():
-        if deployment in by_deployment:
-            found = by_deployment[deployment]
-            channels.write_tuning(agent, log_time, deployment, found.alpha, found.similarity)
+        told = by_deployment[deployment].told if deployment in by_deployment else {}
+        if "alpha" in told and "similarity" in told:  # only acceptance by rank has them
+            channels.write_tuning(agent, log_time, deployment, told["alpha"], told["similarity"])
 
 
 def _tunings_beside(path: Path) -> Tunings:

@@ -132,7 +132,9 @@ def results(run: RunData) -> dict[str, object]:
         "agents": {
             agent.name: {
                 "active_dimensions": agent.last("embedding", "active_dimensions"),
-                "tunings": [asdict(agent.tunings[k]) for k in sorted(agent.tunings)],
+                "tunings": [
+                    {"deployment": k, **agent.tunings[k].told} for k in sorted(agent.tunings)
+                ],
             }
             for agent in run.agents
         },

@@ -31,13 +31,16 @@ class Evaluation:
     successes: list[bool] | None = None  # episodes won; None where the task has no such thing
 
 
+# Of acceptance by rank: alpha and 𝔻 (Eq. 4); of the others: the share of B_k that is accepted.
+TOLD = ("alpha", "similarity", "accepted")
+
+
 @dataclass(frozen=True)
 class Tuning:
-    """Eq. 4's outcome at one deployment, for one agent."""
+    """What one agent's sampler gave before the updates after one deployment."""
 
     deployment: int
-    alpha: float
-    similarity: float
+    told: dict[str, float]  # some of TOLD
 
 
 @dataclass
@@ -203,10 +206,9 @@ def _read_history(path: Path) -> AgentHistory:
         if phase == "tuning":
             # A learner that was restarted repeats itself: the same values at the same places.
             update += (deployment - 1) * int(str(line["updates"]))
-            if "alpha" in metrics and "similarity" in metrics:
-                history.tunings[deployment] = Tuning(
-                    deployment, _number(metrics["alpha"]), _number(metrics["similarity"])
-                )
+            if int(str(line["update"])) == 0:
+                told = {name: _number(metrics[name]) for name in TOLD if name in metrics}
+                history.tunings[deployment] = Tuning(deployment, told)
         curves = history.curves.setdefault(phase, {})
         for name, value in metrics.items():
             curves.setdefault(str(name), {})[update] = _number(value)

@@ -10,10 +10,15 @@ from otc_dist.exploration import Schedule
 from otc_dist.report import html, kept
 from otc_dist.report.results import QUICK_LABEL, offline_row, rows, tuned
 from otc_dist.report.returns import percent, returns_table, signed
-from otc_dist.report.run_data import RunData
+from otc_dist.report.run_data import TOLD, RunData
 from otc_dist.report.svg import NOTHING, Reference, Series, line_chart, number
 
 _WIDE_RANGE = 20.0  # beyond this ratio of the largest to the smallest, a logarithmic axis
+_TITLES = {  # of charts and their axes
+    "alpha": ("Prioritization strength alpha", "alpha"),
+    "similarity": ("Expected similarity 𝔻 (Eq. 4)", "𝔻"),
+    "accepted": ("Share of B_k that is accepted", "accepted"),
+}
 _MOST_POINTS = 300  # of one training curve; more cannot be seen
 
 
@@ -39,14 +44,7 @@ def render(run: RunData) -> str:
             _figures(run),
             html.section("", _learning_curve(run)),
             kept.section(run),
-            html.pair(
-                html.section(
-                    "", _tuning_chart(run, "alpha", "Prioritization strength alpha", "alpha")
-                ),
-                html.section(
-                    "", _tuning_chart(run, "similarity", "Expected similarity 𝔻 (Eq. 4)", "𝔻")
-                ),
-            ),
+            html.pair(*(html.section("", _told_chart(run, name)) for name in _told(run))),
             returns_table(run),
             _learners(run),
             _dataset(run),
@@ -85,6 +83,10 @@ def _figures(run: RunData) -> str:
     items = []
     if offline:
         items.append((number(offline.returns.mean), "offline return, mean of pi_0"))
+    if told := kept.recommended(run):
+        greedy = kept.greedy_return(run, int(str(told["policy"])))
+        if greedy is not None:
+            items.append((number(greedy), f"return of {kept.named(told)}: recommended"))
     if after:
         items += [
             (number(after.last.returns.mean), f"return after deployment {after.last.deployment}"),
@@ -130,11 +132,18 @@ def _learning_curve(run: RunData) -> str:
     )
 
 
-def _tuning_chart(run: RunData, field: str, title: str, label: str) -> str:
+def _told(run: RunData) -> list[str]:
+    """What the samplers gave before the updates."""
+    found = {name for a in run.agents for tuning in a.tunings.values() for name in tuning.told}
+    return [name for name in TOLD if name in found]
+
+
+def _told_chart(run: RunData, name: str) -> str:
+    title, label = _TITLES[name]
     series = []
     for agent in run.agents:
-        ks = sorted(agent.tunings)
-        values = [float(getattr(agent.tunings[k], field)) for k in ks]
+        ks = [k for k in sorted(agent.tunings) if name in agent.tunings[k].told]
+        values = [agent.tunings[k].told[name] for k in ks]
         series.append(Series(agent.name, [float(k) for k in ks], values))
     usable = [y for s in series for y in s.y if math.isfinite(y)]
     wide = bool(usable) and min(usable) > 0 and max(usable) / min(usable) > _WIDE_RANGE
@@ -152,22 +161,24 @@ def _tuning_chart(run: RunData, field: str, title: str, label: str) -> str:
 def _learners(run: RunData) -> str:
     if not run.agents:
         return ""
-    lines = []
+    lines, told = [], _told(run)
+    embedded = any(agent.curves.get("embedding") for agent in run.agents)
     for agent in run.agents:
         active, newest = agent.last("embedding", "active_dimensions"), max(agent.tunings, default=0)
-        tuning = agent.tunings.get(newest)
+        tuning = agent.tunings[newest].told if newest else {}
         offline = max((max(c) for c in agent.curves.get("offline", {}).values() if c), default=0)
         lines.append(
             [
                 agent.name,
                 f"{offline:,}",
-                number(active) if active is not None else NOTHING,
+                *[number(active) if active is not None else NOTHING] * embedded,
                 str(newest),
-                number(tuning.alpha) if tuning else NOTHING,
-                number(tuning.similarity) if tuning else NOTHING,
+                *(number(tuning[name]) if name in tuning else NOTHING for name in told),
             ]
         )
-    head = ["agent", "offline updates", "active dimensions", "tuned on", "alpha", "𝔻"]
+    active_column = ["active dimensions"] * embedded
+    labels = [_TITLES[name][1] for name in told]
+    head = ["agent", "offline updates", *active_column, "tuned on", *labels]
     charts = [
         html.details(f"Training metrics: {phase}", html.pair(*_metric_charts(run, phase)))
         for phase in ("offline", *FITS, "tuning")
@@ -180,7 +191,7 @@ def _metric_charts(run: RunData, phase: str) -> list[str]:
     names = dict.fromkeys(name for agent in run.agents for name in agent.curves.get(phase, {}))
     charts = []
     for name in names:
-        if name in ("alpha", "similarity"):  # shown above, by deployment
+        if name in TOLD:  # shown above, by deployment
             continue
         series = []
         for agent in run.agents:

@@ -188,6 +188,17 @@ def test_a_learner_that_was_restarted_counts_once(made) -> None:
     assert before == after
 
 
+def test_where_there_is_no_alpha_the_accepted_share_is_shown(made) -> None:
+    for agent in ("agent_0", "agent_1"):
+        made.folder.metrics(agent).unlink()
+        made.report(agent, "tuning", 1, 0, 100, accepted=0.1, guarded=0.0)
+        made.report(agent, "tuning", 1, 100, 100, q=3.0)
+    results, page = report(made)
+    assert results["agents"]["agent_0"]["tunings"] == [{"deployment": 1, "accepted": 0.1}]
+    assert "Share of B_k that is accepted" in page.text
+    assert "Prioritization strength alpha" not in page.text
+
+
 def test_numbers_that_are_not_finite_are_null(made) -> None:
     made.report("agent_0", "tuning", 3, 0, 100, alpha=float("nan"), similarity=float("inf"))
     results, _ = report(made)
