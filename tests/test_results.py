@@ -6,23 +6,25 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.comparison import collected, tables
+from otc_dist.comparison import collected, mechanism_table, tables
 from otc_dist.comparison.statistics import summarise
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-# A block that `compare --tables FOLDER` printed, whole or in parts.
-QUOTED = re.compile(r"<!-- tables: (\S+) -->\n```text\n(.*?)```", re.S)
+# A block that `compare --tables FOLDER`, or `mechanism`, printed, whole or in parts.
+QUOTED = re.compile(r"<!-- (tables|mechanism): (\S+) -->\n```text\n(.*?)```", re.S)
 QUOTES = [
-    pytest.param(folder, block, id=f"{page.name}, {folder}")
+    pytest.param(kind, folder, block, id=f"{page.name}, {folder}")
     for page in PAGES
-    for folder, block in QUOTED.findall(page.read_text())
+    for kind, folder, block in QUOTED.findall(page.read_text())
 ]
 
 
 @cache
-def printed(folder: str) -> set[str]:
-    """The lines that `compare --tables` prints of a folder."""
+def printed(kind: str, folder: str) -> set[str]:
+    """The lines that the raw scores of a folder give."""
+    if kind == "mechanism":
+        return set(mechanism_table.read(sorted((ROOT / folder).glob("*.json"))).lines())
     found = collected.collect(ROOT / folder)
     return set(tables.text(summarise(found.runs, found.normalise)))
 
@@ -31,13 +33,12 @@ def test_something_is_quoted() -> None:
     assert QUOTES
 
 
-@pytest.mark.parametrize(("folder", "block"), QUOTES)
-def test_what_is_quoted_is_what_the_raw_scores_give(folder: str, block: str) -> None:
-    assert (ROOT / folder / "description.toml").is_file()
+@pytest.mark.parametrize(("kind", "folder", "block"), QUOTES)
+def test_what_is_quoted_is_what_the_raw_scores_give(kind: str, folder: str, block: str) -> None:
     for line in block.splitlines():
-        assert not line or line in printed(folder), line
+        assert not line or line in printed(kind, folder), line
 
 
 def test_every_folder_of_raw_scores_is_quoted() -> None:
-    kept = {str(path.parent.relative_to(ROOT)) for path in ROOT.glob("results/tuning/*/*.toml")}
-    assert kept == {folder for param in QUOTES for folder in param.values[:1]}
+    kept = {str(path.relative_to(ROOT)) for path in ROOT.glob("results/tuning/*/")}
+    assert kept == {str(folder) for param in QUOTES for folder in param.values[1:2]}

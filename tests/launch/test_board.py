@@ -85,7 +85,7 @@ def test_a_plan_s_parts_cover_the_run_in_order() -> None:
     team = registry.team_spec(description.env.id)
     names = [(part.phase, part.deployment) for part in forecast.parts(description, team)]
     assert names == [
-        ("start", 0), ("offline", 0), ("embedding", 0), ("evaluation", 0),
+        ("start", 0), ("offline", 0), ("dynamics", 0), ("evaluation", 0),
         ("deployment", 1), ("tuning", 1), ("evaluation", 1),
         ("deployment", 2), ("tuning", 2), ("evaluation", 2),
     ]  # fmt: skip
