@@ -36,6 +36,8 @@ class Board:
             self.events.append(f"{status.process}: {place(status)}")
         if "alpha" in appeared:
             self.events.append(f"{status.process}: {alpha_line(measures)}")
+        if "accepted" in appeared:
+            self.events.append(f"{status.process}: accepts {measures['accepted']:.1%} of its data")
         if "return" in appeared:
             won = f", {measures['success']:.1f} % won" if "success" in measures else ""
             self.events.append(f"{status.process}: return {appeared['return']:.1f}{won}")

@@ -17,6 +17,9 @@ from .health import Life
 
 LINE_EVERY = 5.0  # seconds between two progress lines without a terminal
 
+# What samplers tell, its column and its format.
+_TOLD = (("alpha", "alpha", ".3f"), ("similarity", "𝔻", ".3f"), ("accepted", "accepted", ".1%"))
+
 
 class View(Protocol):
     """Shows a board. `say` prints a line that stays."""
@@ -87,7 +90,9 @@ class TableView:
         table.add_column("process")
         table.add_column("health")
         table.add_column("phase")
-        for name in ("done", "of", "rate /s", "return", "alpha", "𝔻"):
+        known = {name for measures in board.measures.values() for name in measures}
+        told = [(name, label, style) for name, label, style in _TOLD if name in known]
+        for name in ("done", "of", "rate /s", "return", *(label for _, label, _ in told)):
             table.add_column(name, justify="right")
         now = time.monotonic()
         for process in (HOST, *board.agents):
@@ -102,7 +107,7 @@ class TableView:
                 f"{status.rate:,.0f}" if status.total else "",
                 *(
                     format(measures[name], style) if name in measures else ""
-                    for name, style in (("return", ".1f"), ("alpha", ".3f"), ("similarity", ".3f"))
+                    for name, style in (("return", ".1f"), *((n, s) for n, _, s in told))
                 ),
             )
         return table

@@ -15,6 +15,7 @@ from otc_dist.bus.messages import Action, Observation, Status
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
+from otc_dist.description.distances import TOLD
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
 from otc_dist.spec import AgentSpec
@@ -55,7 +56,7 @@ class LearnerService:
         self._judge = Judge(run, agent.name, self._history.fetch)
         self._last = run.description.deployment.count  # no tuning follows what comes after it
         self._metrics = MetricsFile(self._folder.metrics(agent.name))
-        self._adapted: dict[str, float] = {}  # alpha and similarity of the newest deployment
+        self._told: dict[str, float] = {}  # by the sampler, of the newest deployment
         self._buffer_complete = True  # whether the learner's buffer holds D_1 .. D_tuned
         self._answered: Action | None = None
         session.declare_alive(run.keys.alive(agent.name))
@@ -204,7 +205,7 @@ class LearnerService:
 
     def _ready(self) -> None:
         tuned = max(self._learner.tuned, 0)
-        self._state = Status(self._name, "ready", tuned, metrics=self._adapted)
+        self._state = Status(self._name, "ready", tuned, metrics=self._told)
         self.heartbeat.publish()
 
     def _check_host(self) -> None:
@@ -214,7 +215,7 @@ class LearnerService:
 
     def _leave(self) -> None:
         """Answer once more if asked, until the env host says that it has heard everybody."""
-        self._state = Status(self._name, "done", self._learner.tuned, metrics=self._adapted)
+        self._state = Status(self._name, "done", self._learner.tuned, metrics=self._told)
         while self._lockstep.host_phase != "done" and self._lockstep.host_silence() < _FAREWELL:
             question = self._lockstep.question(_LOOK / 5)
             if question is not None:
@@ -222,12 +223,9 @@ class LearnerService:
 
     def _report(self, progress: "Progress") -> None:
         self._metrics.write(progress)
-        if progress.phase == "tuning" and "alpha" in progress.metrics:
-            self._adapted = {
-                name: progress.metrics[name]
-                for name in ("alpha", "similarity")
-                if name in progress.metrics
-            }
+        told = {name: progress.metrics[name] for name in TOLD if name in progress.metrics}
+        if progress.phase == "tuning" and told:
+            self._told = told
         before = self._state
         self._state = Status(
             self._name,
@@ -235,7 +233,7 @@ class LearnerService:
             progress.deployment,
             progress.update,
             progress.updates,
-            metrics={**self._adapted, **progress.metrics},
+            metrics={**self._told, **progress.metrics},
         )
         if before.phase != progress.phase or progress.update == progress.updates:
             self.heartbeat.publish()

@@ -16,7 +16,6 @@ ARMS = {
     "otc-embedding": ("sampling.distance=embedding", "sampling.acceptance=rank"),
     "otc-value": ("sampling.distance=value", "sampling.acceptance=rank"),
     "otc-change": ("sampling.distance=change", "sampling.acceptance=rank"),
-    "otc-dynamics": ("sampling.distance=dynamics", "sampling.acceptance=rank"),
     "dynamics-share": ("sampling.distance=dynamics", "sampling.acceptance=share"),
     "typical-conformal": (
         "sampling.distance=typical",
@@ -24,12 +23,6 @@ ARMS = {
         "sampling.level=0.1",
     ),
     "value-share": ("sampling.distance=value", "sampling.acceptance=share"),
-    "random-share": ("sampling.distance=random", "sampling.acceptance=share"),
-    "otc-all": (
-        "sampling.distance=embedding",
-        "sampling.acceptance=rank",
-        "sampling.corrects=all",
-    ),
     "rlpd": ("sampling.name=uniform", "sampling.online_share=0.5"),
     "uniform": ("sampling.name=uniform",),
     "online-only": ("sampling.name=online-only",),

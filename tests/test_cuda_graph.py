@@ -75,7 +75,7 @@ def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
 
 
 def test_an_update_of_the_embedding_stays_on_the_gpu() -> None:
-    learner, trial = tuned("bcq"), conformance.Trial("bcq")
+    learner, trial = tuned("bcq", *ARMS["otc-embedding"]), conformance.Trial("bcq")
     embedder = learner._fits.own
     assert isinstance(embedder, Embedder) and embedder.state
     embedding = embedder._embedding

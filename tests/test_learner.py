@@ -386,7 +386,7 @@ def test_embedding_of_real_data_keeps_more_than_three_dimensions(env: str) -> No
     store.ensure(name, 20_000)
     spec = registry.team_spec(env).agents[0]
     data = store.load_agent(store.agent_file(name, spec.name, 20_000), spec.name)
-    small = describe("offline.updates=0")
+    small = describe(*ARMS["otc-embedding"], "offline.updates=0")
     usual = small.model_copy(update={"embedding": EmbeddingSection(updates=3000)})
     reports: list[Progress] = []
     Learner(usual, spec, data).pretrain(reports.append, unsaved)

@@ -37,6 +37,9 @@ class DistanceFacts:
     per_update: bool = False
 
 
+# What samplers tell before a deployment's updates. Of acceptance by rank: alpha and 𝔻 (Eq. 4); of
+# the others: the share of B_k that is accepted.
+TOLD = ("alpha", "similarity", "accepted")
 FITS = ("embedding", "dynamics")  # sections, and phases of a learner, of what distances fit
 _HERE = "otc_dist.otc.distances"
 

@@ -11,6 +11,7 @@ from typing import TypeVar
 from otc_dist import keeping
 from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.description import Description
+from otc_dist.description.distances import TOLD
 from otc_dist.errors import UserError
 from otc_dist.measured import Measured, TooFewError
 from otc_dist.run_folder import RunFolder
@@ -29,10 +30,6 @@ class Evaluation:
     normalised_score: float | None  # of the mean; None where the task has no reference returns
     policies: dict[str, str]  # agent -> digest of the policy that acted
     successes: list[bool] | None = None  # episodes won; None where the task has no such thing
-
-
-# Of acceptance by rank: alpha and 𝔻 (Eq. 4); of the others: the share of B_k that is accepted.
-TOLD = ("alpha", "similarity", "accepted")
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ import shlex
 from collections.abc import Mapping
 from datetime import datetime
 
-from otc_dist.description.distances import FITS
+from otc_dist.description.distances import FITS, TOLD
 from otc_dist.exploration import Schedule
 from otc_dist.report import html, kept
 from otc_dist.report.results import QUICK_LABEL, offline_row, rows, tuned
 from otc_dist.report.returns import percent, returns_table, signed
-from otc_dist.report.run_data import TOLD, RunData
+from otc_dist.report.run_data import RunData
 from otc_dist.report.svg import NOTHING, Reference, Series, line_chart, number
 
 _WIDE_RANGE = 20.0  # beyond this ratio of the largest to the smallest, a logarithmic axis

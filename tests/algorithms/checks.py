@@ -109,7 +109,7 @@ def assert_engines_agree(
         update, history = engine.fuse(algorithm.update), []
         for index, batch in enumerate(inputs):
             noise = {name: torch.from_numpy(array[index]) for name, array in draws.items()}
-            state, values = update(state, batch, noise)
+            state, values = update(state, batch, batch, noise)
             history.append(values)
         metrics.append(torch.stack(history).numpy())
     np.testing.assert_allclose(metrics[0], metrics[1], rtol=2e-4, atol=2e-5)

@@ -148,7 +148,7 @@ def test_a_run_begins_with_the_policies_of_another_and_trains_none(
         assert f"{agent}: offline" not in launcher.text
         taken, told = checkpoint.read(folder.checkpoint(agent, 0))
         given, _ = checkpoint.read(source.checkpoint(agent, 0))
-        assert checkpoint.digest(taken) == checkpoint.digest(given)  # the embedding as well
+        assert checkpoint.digest(taken) == checkpoint.digest(given)  # and what the distance fitted
         assert told.tuned == 0
     first = json.loads(folder.evaluation(0).read_text())["policies"]
     assert first == json.loads(finished[0].evaluation(0).read_text())["policies"]
@@ -195,9 +195,9 @@ def test_a_distance_that_was_fitted_otherwise_is_fitted_anew(
     tmp_path: Path,
     tiny_flags: tuple[str, ...],
 ) -> None:
-    other = ("--set", "embedding.size=4", "--from", str(finished[0].root))
+    other = ("--set", "dynamics.hidden=[16]", "--from", str(finished[0].root))
     launcher = launch("3agent_hopper", *tiny_flags, *other, "--out", "run")
     assert launcher.finish() == 0, launcher.text
-    assert "agent_0: embedding" in launcher.text and "agent_0: offline" not in launcher.text
+    assert "agent_0: dynamics" in launcher.text and "agent_0: offline" not in launcher.text
     policies = json.loads(RunFolder(tmp_path / "run").evaluation(0).read_text())["policies"]
     assert policies == json.loads(finished[0].evaluation(0).read_text())["policies"]

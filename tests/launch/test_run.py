@@ -35,7 +35,7 @@ def test_a_run_ends_with_results_and_nothing_left(finished: tuple[RunFolder, Lau
     for said in (
         "agent_1: offline",
         "agent_2: tuning after deployment 2",
-        "alpha",
+        "agent_0: accepts ",
         "return, mean of",
     ):
         assert said in launcher.text

@@ -122,7 +122,7 @@ def test_a_correction_that_does_not_help_is_left_out() -> None:
     ready = ready._replace(extent=Extent(OFFLINE - 60, OFFLINE - 60, OFFLINE))  # D_1 of B_0's rows
     corrected = DynamicsDistance(LAYOUT, SECTION).scores(ready, exclude_self=False).values
     plain = TypicalDistance(LAYOUT).scores(ready, exclude_self=False).values
-    assert np.corrcoef(corrected, plain)[0, 1] > 0.9
+    assert np.corrcoef(corrected, plain)[0, 1] > 0.7
 
 
 def test_features_are_the_pair_and_the_residual() -> None:

@@ -36,7 +36,10 @@ STRATEGIES = [
 
 
 def settings(**changes: Any) -> SamplingSection:
-    values: dict[str, Any] = {"candidates": 64, "references": 30, "value_samples": 3}
+    values: dict[str, Any] = {
+        **{"distance": "embedding", "acceptance": "rank"},
+        **{"candidates": 64, "references": 30, "value_samples": 3},
+    }
     return SamplingSection(**(values | changes))
 
 

@@ -54,8 +54,8 @@ def test_a_run_leaves_logs_evaluations_checkpoints_and_metrics(finished: Service
         assert all(folder.checkpoint(agent, k).exists() for agent in AGENTS)
     for agent in AGENTS:
         lines = [json.loads(line) for line in folder.metrics(agent).read_text().splitlines()]
-        assert {line["phase"] for line in lines} == {"offline", "embedding", "tuning"}
-        assert [line["deployment"] for line in lines if "alpha" in line["metrics"]] == [1, 2]
+        assert {line["phase"] for line in lines} == {"offline", "dynamics", "tuning"}
+        assert [line["deployment"] for line in lines if "accepted" in line["metrics"]] == [1, 2]
     assert len(finished.result()["deployment 2"]) == 80 // 4  # type: ignore[arg-type]
 
 
