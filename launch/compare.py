@@ -69,7 +69,8 @@ def _show(arguments: argparse.Namespace) -> int:
     print("\n".join(tables.text(summarise(found.runs, found.normalise))))
     if arguments.picture is not None:
         seeds = max(len(of_arm) for of_arm in found.runs.values())
-        title = f"{found.dataset}: the recommended policy, mean ± standard error of {seeds} seeds"
+        over = "1 seed" if seeds == 1 else f"mean ± standard error of {seeds} seeds"
+        title = f"{found.dataset}: the recommended policy, {over}"
         try:
             arguments.picture.write_text(picture(found.runs, title), encoding="utf-8")
         except OSError as error:

@@ -26,7 +26,9 @@ class Command:
 
 def commands() -> list[Command]:
     found = []
-    pattern = re.compile(r"(?:^<!-- (?P<note>.*?) -->\n)?^```sh\n(?P<block>.*?)^```$", re.M | re.S)
+    pattern = re.compile(
+        r"(?:^<!-- (?P<note>[^\n]*?) -->\n)?^```sh\n(?P<block>.*?)^```$", re.M | re.S
+    )
     for match in pattern.finditer(README.read_text()):
         key, _, value = (match["note"] or "").partition(": ")
         for line in match["block"].splitlines():
