@@ -75,6 +75,7 @@ def make(folder: Path, agents: Sequence[str], names: Sequence[str], days: float)
         if not is_host(name):
             raise UserError(f"--host {name!r} is not {HOST_FORM}: write it as learners connect to")
     try:
+        _make_private(folder)
         authority = _Authority.of(folder / _AUTHORITY_FOLDER)
         for process in (HOST, *agents, OBSERVER):
             reached_by = tuple(names) if process == HOST else ()
@@ -87,6 +88,23 @@ def make(folder: Path, agents: Sequence[str], names: Sequence[str], days: float)
                 yield f"{where}: made, valid for {days:g} days{known}"
     except OSError as error:
         raise UserError(f"cannot write {error.filename or folder}: {error.strerror}") from None
+
+
+def _make_private(folder: Path) -> None:
+    """Make `folder` so that nobody else may enter it, whatever the umask.
+
+    Raises:
+        UserError: others can write in it, so that what it holds may be theirs.
+        OSError: it cannot be made.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.stat()
+    if status.st_uid != os.getuid() or status.st_mode & 0o022:
+        raise UserError(
+            f"others can write in {folder}, so its certificates cannot be trusted: delete it, or"
+            " use another folder"
+        )
 
 
 def own_names() -> tuple[str, ...]:

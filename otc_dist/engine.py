@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Hashable, Sequence
+from pathlib import Path
 from types import FunctionType, MethodType
 from typing import Any, Literal, cast
 
@@ -17,7 +18,7 @@ from torch import Tensor
 
 from otc_dist.algorithms.draws import Draws
 from otc_dist.algorithms.interface import P, State, T
-from otc_dist.cache import cache_root
+from otc_dist.cache import compiled_root
 from otc_dist.description import EngineName
 from otc_dist.errors import UserError
 
@@ -61,7 +62,8 @@ class Engine:
         # Sums split over threads round otherwise, and a brain's networks are too small to gain.
         torch.set_num_threads(1)
         # Compiled code outlives the process: other learners and later runs load it.
-        os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", str(cache_root() / "compiled"))
+        if name != "eager" and "TORCHINDUCTOR_CACHE_DIR" not in os.environ:
+            os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(compiled_root())
         # The default of 8 ends a process that holds more brains than that with an error.
         torch._dynamo.config.recompile_limit = VARIANTS
 
@@ -85,6 +87,7 @@ class Engine:
         }
         if self.device.type == "cpu":
             options["cpp_wrapper"] = True
+            _keep_headers_private()
             if torch.backends.mkldnn.is_available():  # type: ignore[no-untyped-call]
                 from otc_dist.products import Products  # the compiler takes a second to import
 
@@ -96,6 +99,17 @@ class Engine:
     def record(self, update: Update) -> Update:
         """`update` itself, or on a GPU its recording, replayed at every later call."""
         return _CudaGraph(update) if self.name == "cuda-graph" else update
+
+
+def _keep_headers_private() -> None:
+    """torch keeps the headers that it compiles first in a folder of a known name under /tmp, which
+    anybody may make before us: they go where the rest of the compiled code is.
+    """
+    from torch._inductor import codecache  # it takes a second to import
+
+    headers = Path(os.environ["TORCHINDUCTOR_CACHE_DIR"], "precompiled_headers")
+    codecache._HEADER_DIR = str(headers)
+    codecache._HEADER_LOCK_DIR = str(headers / "locks")
 
 
 # Compiled functions by what makes them. Torch itself would compare all that a function looks at

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from torch._dynamo.utils import counters
 
 from otc_dist import engine
 from otc_dist.algorithms.draws import to_tensors
+from otc_dist.cache import compiled_root
 from otc_dist.engine import Engine, resolve
 from otc_dist.errors import UserError
 from otc_dist.learner import Learner
@@ -81,11 +83,17 @@ def test_eager_functions_record_no_gradient() -> None:
     assert not Engine("eager").fuse(lambda x: x * weight)(torch.ones(3)).requires_grad
 
 
-def test_compiled_code_is_kept_in_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("OTC_DIST_CACHE", "/somewhere")
-    monkeypatch.delenv("TORCHINDUCTOR_CACHE_DIR", raising=False)
+def test_compiled_code_is_kept_in_the_cache_where_nobody_else_enters(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
+    # As if never set; and whatever is set meanwhile is undone.
+    monkeypatch.setitem(os.environ, "TORCHINDUCTOR_CACHE_DIR", "")
+    monkeypatch.delitem(os.environ, "TORCHINDUCTOR_CACHE_DIR")
     Engine("eager")
-    assert os.environ["TORCHINDUCTOR_CACHE_DIR"] == "/somewhere/compiled"
+    assert "TORCHINDUCTOR_CACHE_DIR" not in os.environ
+    Engine("compiled")
+    assert os.environ["TORCHINDUCTOR_CACHE_DIR"] == str(compiled_root())
 
 
 def updates(learner: Learner, count: int) -> list[np.ndarray]:
@@ -143,3 +151,5 @@ def test_a_process_may_compile_many_variants_and_compiles_each_once() -> None:
     assert compiled() == start + 10
     assert variant(3)(torch.ones(4)).tolist() == [5] * 4  # other shapes are never mistaken
     assert compiled() == start + 11
+    headers = Path(os.environ["TORCHINDUCTOR_CACHE_DIR"], "precompiled_headers")
+    assert list(headers.glob("*.h"))  # and not in a folder under /tmp that anybody may make

@@ -92,3 +92,10 @@ def test_every_command_runs(tmp_path: Path) -> None:
             assert done.returncode == 0, f"{command.text}\n{done.stdout}{done.stderr}"
         else:
             assert done.returncode != 0 and command.says in done.stderr, command.text
+    if (ROOT / ".git").exists():
+        for left in sorted(tmp_path.iterdir()):
+            name = f"{left.name}/" if left.is_dir() else left.name
+            ignored = subprocess.run(
+                ["git", "check-ignore", "--quiet", name], cwd=ROOT, check=False
+            )
+            assert ignored.returncode == 0, f"git would take {name} into the repository"

@@ -1,5 +1,6 @@
 """Across hosts: mutual TLS or a clear refusal within five seconds."""
 
+import os
 import shutil
 import socket
 import stat
@@ -266,6 +267,20 @@ def test_making_certificates_again_keeps_the_good_ones(tmp_path: Path) -> None:
     for key in folder.glob("*/key.pem"):
         assert stat.S_IMODE(key.stat().st_mode) == 0o600
         assert stat.S_IMODE(key.parent.stat().st_mode) == 0o700
+
+
+def test_nobody_else_gets_at_certificates_whatever_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        list(certs.make(tmp_path / "new" / "certs", AGENTS, ["a.example.org"], 30))
+        (tmp_path / "open").mkdir()
+    finally:
+        os.umask(before)
+    for folder in (tmp_path / "new" / "certs").rglob("."):
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700, folder
+    refused = _refusal(lambda: certs.main([str(tmp_path / "open"), "--agents", "1"]))
+    assert "others can write in" in refused
+    assert list((tmp_path / "open").iterdir()) == []
 
 
 @pytest.mark.parametrize(
