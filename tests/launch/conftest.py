@@ -19,22 +19,60 @@ AGENTS = ("agent_0", "agent_1", "agent_2")  # of the runs here
 DEADLINE = 240.0  # seconds: a test that waits longer has failed
 
 
+class Hold:
+    """A point at which a process of a run waits until the test has done what it is about.
+
+    A tiny run is through before a busy machine lets the test look at it, so the test does not look
+    for the moment but makes it last.
+
+    Args:
+        process: "host" or an agent.
+        phase, deployment: where it waits, having said that it is there.
+        gate: a path for the FIFO at which it waits.
+    """
+
+    def __init__(self, process: str, phase: str, deployment: int, gate: Path) -> None:
+        self._gate = gate
+        os.mkfifo(gate)
+        self.environment = {
+            "OTC_TEST_HOLD": f"{process} {phase} {deployment} {gate}",
+            "PYTHONPATH": str(Path(__file__).parent / "held"),
+        }
+
+    def release(self) -> None:
+        """Let the process go on; it has been seen to be there."""
+        self._gate.open("w").close()
+        self.lift()
+
+    def lift(self) -> None:
+        """Whoever comes there from now on is not held; who waits there waits for its end."""
+        self._gate.unlink(missing_ok=True)
+
+
 class Launcher:
     """A launcher process whose output is read line by line.
 
     Args:
         prefix: what its command line begins with.
         cache: a cache of data sets other than that of all tests.
+        hold: where one of its processes waits for the test.
     """
 
     def __init__(
-        self, *arguments: str, cwd: Path, prefix: Sequence[str] = (), cache: Path | None = None
+        self,
+        *arguments: str,
+        cwd: Path,
+        prefix: Sequence[str] = (),
+        cache: Path | None = None,
+        hold: Hold | None = None,
     ) -> None:
+        added = {"OTC_DIST_CACHE": str(cache)} if cache else {}
+        added |= hold.environment if hold else {}
         self.lines: list[str] = []
         self.process = subprocess.Popen(
             [*prefix, sys.executable, "-m", "otc_dist.launch", *arguments],
             cwd=cwd,
-            env={**os.environ, "OTC_DIST_CACHE": str(cache)} if cache else None,
+            env={**os.environ, **added},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -4,7 +4,7 @@ import os
 import shutil
 import socket
 import subprocess
-from collections.abc import Iterator, Set
+from collections.abc import Iterator, Mapping, Set
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,7 +19,7 @@ AuthorizedKeysFile {folder}/user.pub
 PidFile none
 StrictModes no
 PermitRootLogin prohibit-password
-SetEnv OTC_DIST_CACHE={cache}
+SetEnv {environment}
 """
 CLIENT = """\
 Host *
@@ -33,8 +33,12 @@ LogLevel ERROR
 
 
 @contextmanager
-def hosts_by_ssh(folder: Path, addresses: Set[str]) -> Iterator[Path]:
+def hosts_by_ssh(
+    folder: Path, addresses: Set[str], environment: Mapping[str, str]
+) -> Iterator[Path]:
     """Let `ssh ADDRESS` in, without a password; yields the folder of an `ssh` that knows how.
+
+    `environment` is what commands get there, beside the tests' cache.
 
     Skips the test where OpenSSH is missing, or may not serve.
     """
@@ -51,8 +55,9 @@ def hosts_by_ssh(folder: Path, addresses: Set[str]) -> Iterator[Path]:
         port: int = free.getsockname()[1]
     listen = "\n".join(f"ListenAddress {address}" for address in addresses)
     names = {"port": port, "folder": folder, "listen": listen}
-    cache = os.environ["OTC_DIST_CACHE"]
-    (folder / "sshd_config").write_text(SERVER.format(**names, cache=cache))
+    told = {"OTC_DIST_CACHE": os.environ["OTC_DIST_CACHE"], **environment}
+    names["environment"] = " ".join(f'"{name}={value}"' for name, value in told.items())
+    (folder / "sshd_config").write_text(SERVER.format(**names))
     (folder / "ssh_config").write_text(CLIENT.format(**names))
     tool = folder / "bin" / "ssh"
     tool.parent.mkdir()

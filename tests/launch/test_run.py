@@ -16,7 +16,7 @@ from otc_dist.launch.__main__ import main
 from otc_dist.launch.run_record import RunRecord
 from otc_dist.run_folder import RunFolder
 
-from .conftest import AGENTS, Launcher, processes_of, same, wait_for_end
+from .conftest import AGENTS, Hold, Launcher, processes_of, same, wait_for_end
 from .namespaces import star
 
 pytestmark = pytest.mark.slow
@@ -43,17 +43,26 @@ def test_a_run_ends_with_results_and_nothing_left(finished: tuple[RunFolder, Lau
 
 
 @pytest.mark.parametrize(
-    "moment", ["agent_1: offline", "host: deployment 1", "agent_0: tuning after deployment 1"]
+    ("process", "phase", "deployment", "line"),
+    [
+        ("agent_1", "offline", 0, "agent_1: offline"),
+        ("host", "deployment", 1, "host: deployment 1"),
+        ("agent_0", "tuning", 1, "agent_0: tuning after deployment 1"),
+    ],
 )
 def test_ctrl_c_leaves_no_process_and_resume_ends_the_same(
-    moment: str,
+    process: str,
+    phase: str,
+    deployment: int,
+    line: str,
     finished: tuple[RunFolder, Launcher],
     launch: Launch,
     tmp_path: Path,
     tiny_flags: tuple[str, ...],
 ) -> None:
-    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
-    launcher.read_until(lambda line: line.startswith(moment))
+    hold = Hold(process, phase, deployment, tmp_path / "gate")
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
+    launcher.read_until(lambda told: told.startswith(line))
     assert len(processes_of(tmp_path / "run")) == 4
     launcher.process.send_signal(signal.SIGINT)
     assert launcher.finish() == 130
@@ -77,9 +86,11 @@ def test_a_checkpoint_that_the_disk_damages_unseen_is_made_again(
 ) -> None:
     """The learner goes on from what it holds, and does not read what it wrote."""
     folder = RunFolder(tmp_path / "run")
-    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
+    hold = Hold("host", "deployment", 2, tmp_path / "gate")
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
     launcher.read_until(lambda line: line.startswith("host: deployment 2"))
     folder.checkpoint("agent_1", 1).write_bytes(b"")
+    hold.release()
     assert launcher.finish() == 0, launcher.text
     assert "checkpoint_01.safetensors is damaged" in launcher.text
     same(folder, finished[0])
@@ -101,7 +112,8 @@ def test_a_killed_child_is_started_again_and_the_run_ends_the_same(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     folder = RunFolder(tmp_path / "run")
-    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
+    hold = Hold("agent_1", "offline", 0, tmp_path / "gate")
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
     launcher.read_until(lambda line: line.startswith("agent_1: offline"))
     told = status_of(folder.root, capsys)
     assert told["state"] == "running"
@@ -111,10 +123,11 @@ def test_a_killed_child_is_started_again_and_the_run_ends_the_same(
     assert victim in processes_of(folder.root).values()
     os.kill(victim, signal.SIGKILL)
     launcher.read_until(lambda line: line.startswith("agent_1: was killed by SIGKILL"))
-    launcher.read_until(lambda line: "deployment 1" in line)
+    launcher.read_until(lambda line: line.startswith("agent_1: offline"))  # and held there again
     agent = status_of(folder.root, capsys)["supervision"]["processes"]["agent_1"]
     assert (agent["restarts"], agent["last_end"]) == (1, "was killed by SIGKILL")
     assert agent["pid"] != victim
+    hold.release()
     assert launcher.finish() == 0, launcher.text
     same(folder, finished[0])
     assert processes_of(folder.root) == {}
@@ -129,7 +142,8 @@ def test_killing_the_launcher_leaves_no_orphan_and_a_run_to_go_on_with(
     tiny_flags: tuple[str, ...],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
+    hold = Hold("host", "deployment", 1, tmp_path / "gate")
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
     launcher.read_until(lambda line: line.startswith("host: deployment 1"))
     children = list(processes_of(tmp_path / "run").values())
     assert len(children) == 4
@@ -145,8 +159,9 @@ def test_killing_the_launcher_leaves_no_orphan_and_a_run_to_go_on_with(
 def test_sigterm_stops_like_ctrl_c(
     launch: Launch, tmp_path: Path, tiny_flags: tuple[str, ...]
 ) -> None:
-    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run")
-    launcher.read_until(lambda line: line.startswith("agent_0: "))
+    hold = Hold("agent_0", "offline", 0, tmp_path / "gate")
+    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
+    launcher.read_until(lambda line: line.startswith("agent_0: offline"))
     launcher.process.terminate()
     assert launcher.finish() == 128 + signal.SIGTERM
     assert processes_of(tmp_path / "run") == {}
@@ -194,10 +209,12 @@ def test_separate_hosts_come_to_the_bytes_of_one_machine(
             where = {"cwd": home, "prefix": host.prefix, "cache": home / "cache"}
             learners.append(launch(*run, "learner", "--agent", agent, *there, **where))
         there = ("--listen", "tls/0.0.0.0:7447", "--certs", "certs", "--out", "run")
-        where = {"prefix": centre.prefix, "cache": tmp_path / "cache"}
+        hold = Hold("host", "deployment", 1, tmp_path / "gate")
+        where = {"prefix": centre.prefix, "cache": tmp_path / "cache", "hold": hold}
         env_host = launch(*run, "host", *there, **where)
         env_host.read_until(lambda line: line.startswith("host: deployment 1"))
         (victim,) = processes_of(tmp_path / "run").values()
+        hold.lift()
         os.kill(victim, signal.SIGKILL)
         for launcher in (env_host, *learners):
             assert launcher.finish() == 0, launcher.text

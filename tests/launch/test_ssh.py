@@ -17,7 +17,7 @@ from otc_dist.bus.keys import Keys
 from otc_dist.run_folder import RunFolder
 from tests.bus.conftest import free_port
 
-from .conftest import AGENTS, Launcher, processes_of, same, wait_for_end
+from .conftest import AGENTS, Hold, Launcher, processes_of, same, wait_for_end
 from .secure_shell import hosts_by_ssh
 
 pytestmark = pytest.mark.slow
@@ -85,7 +85,9 @@ def test_a_run_by_ssh_is_stopped_and_gone_on_with_and_ends_the_same(
     runs = there / "runs"
     host, learners = runs / RUN, [runs / f"{RUN}-{agent}" for agent in AGENTS]
     with ExitStack() as stack:
-        tools = stack.enter_context(hosts_by_ssh(tmp_path / "ssh", {CENTRE, *MACHINES.values()}))
+        hold = Hold("host", "deployment", 1, tmp_path / "gate")
+        machines = {CENTRE, *MACHINES.values()}
+        tools = stack.enter_context(hosts_by_ssh(tmp_path / "ssh", machines, hold.environment))
         monkeypatch.setenv("PATH", f"{tools}{os.pathsep}{os.environ['PATH']}")
         if meets_at == "router":
             stack.enter_context(router(there, port))
@@ -97,6 +99,7 @@ def test_a_run_by_ssh_is_stopped_and_gone_on_with_and_ends_the_same(
         assert first.finish() == 128 + signal.SIGINT, first.text
         assert "the same command goes on" in first.text
         wait_for_end(working)
+        hold.lift()
         again = launch(*command)
         assert again.finish() == 0, again.text
     said = [first.text, again.text]
