@@ -11,6 +11,7 @@ from otc_dist import checkpoint
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
 from otc_dist.datasets.card import FILE_NAME as CARD
+from otc_dist.envs import registry
 from otc_dist.errors import UserError
 
 from . import descriptions
@@ -50,6 +51,8 @@ def conduct(plan: Plan, record: RunRecord) -> int:
     print(f"{title}: {plan.folder.root}", flush=True)
     for line in filter(None, (plan.place.meeting, plan.place.missing)):
         print(line, flush=True)
+    for remark in registry.remarks(plan.description.env.id):
+        print(f"{plan.description.env.id}: {remark}", flush=True)
     with Signals() as signals:
         try:
             with Supervisor(signals) as supervisor:

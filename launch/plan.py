@@ -117,6 +117,7 @@ class Plan:
             path = store.agent_file(d.dataset.name, agent, d.dataset.transitions)
             state = "cached" if path.exists() else "to be made"
             yield f"  {agent:10} {path} ({state})"
+        yield from (f"environment  {remark}" for remark in registry.remarks(d.env.id))
         begins = f"{d.offline.updates:,} offline updates to pi_0"
         yield f"work         {'pi_0 of another run' if d.offline.policies else begins}"
         if forecast.fit(d).seconds:

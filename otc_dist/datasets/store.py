@@ -97,7 +97,14 @@ def ensure(
             registry.team_spec(parsed.env_id).max_episode_steps,
         )
         origin = f"made by otc_dist, seed {_SEED}"
-        provenance = Provenance(origin, recipe, versions(*source.packages), returns, incomplete)
+        provenance = Provenance(
+            origin,
+            recipe,
+            versions(*source.packages),
+            returns,
+            incomplete,
+            registry.remarks(parsed.env_id),
+        )
         return publish(parsed, made, provenance, sorted(wanted))
 
 

@@ -5,7 +5,8 @@ is an environment of its own, one after the other in this process. What is asked
 
 - All agents are there from the start of an episode to its end.
 - Observations and actions are `Box` or `Discrete`; `Box` actions are bounded. A discrete action's
-  mask, if there is one, is in `infos[agent]["action_mask"]`, as PettingZoo's own have it.
+  mask, if there is one, is in `infos[agent]["action_mask"]`, as PettingZoo's own have it. See
+  `pettingzoo_admission`, which looks at what it says of itself.
 - `reset(seed=...)` determines the episode, or runs are not repeatable.
 
 It cannot be set to a state, so `state` is what the agents observe: a deployment that was cut off is
@@ -15,26 +16,23 @@ continued by playing its episodes again, and that shows whether they came out th
 import hashlib
 import importlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete, flatdim
 from numpy.typing import NDArray
 
 from otc_dist.envs import pettingzoo_checks as checks
 from otc_dist.envs.base import Outcome, at_least_one
+from otc_dist.envs.pettingzoo_admission import Admitted, admitted, inner
 from otc_dist.errors import UserError
-from otc_dist.spec import AgentSpec, TeamSpec
+from otc_dist.spec import TeamSpec
 from otc_dist.transitions import Float32, Float64, all_finite
 
-MAX_STEPS = 1000  # where the environment has no `max_cycles`
-
 _ID = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", re.ASCII)
-_NAME = re.compile(r"[\w-]+", re.ASCII)  # it becomes part of bus keys and file names
 
 
 def knows(env_id: str) -> bool:
@@ -43,23 +41,27 @@ def knows(env_id: str) -> bool:
 
 
 @cache
+def _admitted(env_id: str) -> Admitted:
+    """Of an environment that is made and closed again. Raises UserError as `team_spec`."""
+    env = _made(env_id)
+    try:
+        return admitted(env_id, env)
+    finally:
+        _close(env_id, env)
+
+
 def team_spec(env_id: str) -> TeamSpec:
     """The team, from an environment that is made and closed again.
 
     Raises:
         UserError: no such module or function, or an environment that cannot be used here.
     """
-    env = _made(env_id)
-    try:
-        with checks.in_users_code(env_id, "asked for its agents and their spaces, it"):
-            names = tuple(str(name) for name in env.possible_agents)
-            agents = tuple(_agent(env_id, env, name) for name in names)
-        limit = int(getattr(env.unwrapped, "max_cycles", MAX_STEPS))
-    finally:
-        env.close()
-    if not agents:
-        raise UserError(f"{env_id} has no agents")
-    return TeamSpec(env_id, agents, sum(agent.observation_size for agent in agents), limit)
+    return _admitted(env_id).team
+
+
+def remarks(env_id: str) -> tuple[str, ...]:
+    """In words, what becomes of actions on their way to it. Raises UserError as `team_spec`."""
+    return tuple(_admitted(env_id).remarks())
 
 
 @cache
@@ -70,8 +72,8 @@ def versions(env_id: str) -> dict[str, str]:
         UserError: as `team_spec`.
     """
     env = _made(env_id)
-    package = type(env.unwrapped).__module__.partition(".")[0]
-    env.close()
+    package = type(inner(env)).__module__.partition(".")[0]
+    _close(env_id, env)
     found = {}
     for name in ("pettingzoo", package):
         try:
@@ -92,9 +94,16 @@ def _made(env_id: str) -> Any:  # PettingZoo is untyped
             f"{env_id}: there is no module {error.name}; start from the folder that holds it, or"
             " install it"
         ) from None
-    except Exception as error:  # whatever the user's code raises
+    except (Exception, SystemExit) as error:  # whatever the user's code raises
         raise UserError(f"{env_id} cannot be made: {checks.described(error)}") from error
-    if not hasattr(made, "possible_agents") or hasattr(made, "agent_iter"):
+    with checks.in_users_code(env_id, "asked for its possible_agents, it"):
+        turns, agents = hasattr(made, "agent_iter"), hasattr(made, "possible_agents")
+    if turns:
+        raise UserError(
+            f"{env_id} gave {type(made).__name__}, whose agents act in turn: return"
+            " pettingzoo.utils.aec_to_parallel(env) instead"
+        )
+    if not agents:
         raise UserError(
             f"{env_id} gave {type(made).__name__}, which is no ParallelEnv of PettingZoo with"
             " `possible_agents`"
@@ -102,21 +111,10 @@ def _made(env_id: str) -> Any:  # PettingZoo is untyped
     return made
 
 
-def _agent(env_id: str, env: Any, name: str) -> AgentSpec:
-    if not _NAME.fullmatch(name):
-        raise UserError(f"{env_id}: an agent is called {name!r}; use letters, digits, _ and -")
-    seen, done = env.observation_space(name), env.action_space(name)
-    for what, space in (("observes", seen), ("acts in", done)):
-        if not isinstance(space, Box | Discrete):
-            raise UserError(f"{env_id}: {name} {what} {space}; only Box and Discrete can be used")
-    size = flatdim(seen)
-    if isinstance(done, Discrete):
-        choices = int(done.n)
-        return AgentSpec(name, size + choices, (0.0,), (choices - 1.0,), choices=choices)
-    if not done.is_bounded():
-        raise UserError(f"{env_id}: {name} acts in {done}; actions must be bounded")
-    low, high = (tuple(map(float, np.ravel(bound))) for bound in (done.low, done.high))
-    return AgentSpec(name, size, low, high)
+def _close(env_id: str, env: Any) -> None:
+    if hasattr(env, "close"):
+        with checks.in_users_code(env_id, "close"):
+            env.close()
 
 
 class PettingZooEnv:
@@ -129,9 +127,12 @@ class PettingZooEnv:
     """
 
     def __init__(self, env_id: str, copies: int) -> None:
-        self.spec = team_spec(env_id)
+        self._admitted = _admitted(env_id)
+        self.spec = self._admitted.team
         self.copies = at_least_one(copies)
         self._envs = [_made(env_id) for _ in range(copies)]
+        if any(admitted(env_id, env).team != self.spec for env in self._envs):
+            raise UserError(f"{env_id} has other agents or spaces each time that it is made")
         self._elapsed = np.zeros(copies, np.int64)
         self._seen = tuple(
             np.zeros((copies, agent.observation_size), np.float32) for agent in self.spec.agents
@@ -148,24 +149,22 @@ class PettingZooEnv:
             # Many environments pass it to numpy.random.seed, which takes 32 bits.
             with checks.in_users_code(self.spec.env_id, "reset"):
                 given = self._envs[copy].reset(seed=seed % 2**32)
-            seen, infos = checks.returned(self.spec.env_id, "reset", given)
+            seen, infos = checks.returned(self.spec.env_id, "reset", given, self._admitted.keys)
             self._elapsed[copy] = 0
             self._see(copy, seen, infos, last=False)
 
     def _see(
-        self, copy: int, seen: Mapping[str, Any], infos: Mapping[str, Any], last: bool
+        self, copy: int, seen: Mapping[Hashable, Any], infos: Mapping[Hashable, Any], last: bool
     ) -> None:
-        env, env_id = self._envs[copy], self.spec.env_id
-        for agent, rows in zip(self.spec.agents, self._seen, strict=True):
-            if agent.name not in seen:
-                raise self._gone(agent.name)
-            size, space = agent.observation_size - agent.choices, env.observation_space(agent.name)
-            rows[copy, :size] = checks.observation(env_id, agent.name, space, seen[agent.name])
-            if agent.choices:
-                info = infos.get(agent.name)
-                rows[copy, size:] = checks.mask(env_id, agent.name, info, agent.choices, last)
-            if not all_finite(rows[copy]):
-                raise UserError(f"{env_id}: {agent.name} observes NaN or infinity")
+        env_id = self.spec.env_id
+        for agent, rows in zip(self._admitted.agents, self._seen, strict=True):
+            name, choices = agent.spec.name, agent.spec.choices
+            if agent.key not in seen:
+                raise self._gone(name)
+            size = agent.spec.observation_size - choices
+            rows[copy, :size] = checks.observation(env_id, name, agent.seen, seen[agent.key])
+            if choices:
+                rows[copy, size:] = checks.mask(env_id, name, infos.get(agent.key), choices, last)
 
     def _gone(self, name: str) -> UserError:
         return UserError(
@@ -179,57 +178,70 @@ class PettingZooEnv:
 
     def step(self, actions: Sequence[Float32]) -> Outcome:
         """See `BatchedEnv.step`. Raises ValueError for an action that is not available, too."""
-        orders = [self._orders(index, actions[index]) for index in range(len(self.spec.agents))]
+        env_id, agents = self.spec.env_id, self._admitted.agents
+        orders = [self._orders(index, actions[index]) for index in range(len(agents))]
         rewards = np.zeros((len(orders), self.copies), np.float32)
         terminated, truncated = np.zeros((2, self.copies), np.bool_)
         for copy, env in enumerate(self._envs):
-            wanted = {
-                name: order[copy] for name, order in zip(self.spec.names, orders, strict=True)
-            }
-            with checks.in_users_code(self.spec.env_id, "step"):
+            wanted = {agent.key: order[copy] for agent, order in zip(agents, orders, strict=True)}
+            with checks.in_users_code(env_id, "step"):
                 given = env.step(wanted)
-            seen, earned, over, cut, infos = checks.returned(self.spec.env_id, "step", given)
+            seen, earned, over, cut, infos = checks.returned(
+                env_id, "step", given, self._admitted.keys
+            )
             self._elapsed[copy] += 1
             rewards[:, copy] = [
-                checks.reward(self.spec.env_id, name, earned.get(name, 0.0))
-                for name in self.spec.names
+                checks.reward(env_id, agent.spec.name, earned.get(agent.key, 0.0))
+                for agent in agents
             ]
-            terminated[copy] = self._all(over)
-            truncated[copy] = not terminated[copy] and (
-                self._elapsed[copy] >= self.spec.max_episode_steps
-                or self._all({name: over[name] or cut.get(name, False) for name in over})
-            )
+            terminated[copy], truncated[copy] = self._ends(over, cut, int(self._elapsed[copy]))
             self._see(copy, seen, infos, last=bool(terminated[copy]))
-        if not all_finite(rewards):
-            raise UserError(f"{self.spec.env_id} gave a reward that is NaN or infinite")
         return Outcome(tuple(rewards), terminated, truncated)
 
     def _orders(self, index: int, action: Float32) -> Sequence[Any]:
         """One agent's actions as its environments take them, checked and clipped."""
-        agent, space = self.spec.agents[index], self._envs[0].action_space(self.spec.names[index])
+        agent = self.spec.agents[index]
         if action.shape != (self.copies, agent.action_size) or not all_finite(action):
             raise ValueError(
                 f"the action of {agent.name} is not finite or has shape {action.shape}, not "
                 f"{(self.copies, agent.action_size)}"
             )
-        if isinstance(space, Box):
-            clipped = np.clip(action, agent.action_low, agent.action_high).astype(space.dtype)
-            return list(clipped.reshape(self.copies, *space.shape))
-        indices = action[:, 0].astype(np.int64)
-        mask = self._seen[index][:, -agent.choices :] > 0
-        right = (indices == action[:, 0]) & (indices >= 0) & (indices < agent.choices)
-        right &= np.take_along_axis(mask, indices[:, None] % agent.choices, axis=1)[:, 0]
-        if not right.all():
-            copy = int(np.flatnonzero(~right)[0])
-            raise ValueError(f"{agent.name} cannot take action {action[copy, 0]:g} in copy {copy}")
-        return [int(space.start) + choice for choice in indices.tolist()]
+        if agent.choices:
+            indices = action[:, 0].astype(np.int64)
+            mask = self._seen[index][:, -agent.choices :] > 0
+            right = (indices == action[:, 0]) & (indices >= 0) & (indices < agent.choices)
+            right &= np.take_along_axis(mask, indices[:, None] % agent.choices, axis=1)[:, 0]
+            if not right.all():
+                copy = int(np.flatnonzero(~right)[0])
+                raise ValueError(
+                    f"{agent.name} cannot take action {action[copy, 0]:g} in copy {copy}"
+                )
+        return self._admitted.agents[index].orders(action)
 
-    def _all(self, ended: Mapping[str, bool]) -> bool:
-        """Whether the episode is over for all. Raises UserError if it is for some only."""
-        flags = [bool(ended.get(name, True)) for name in self.spec.names]
-        if any(flags) and not all(flags):
-            raise self._gone(self.spec.names[flags.index(True)])
-        return all(flags)
+    def _ends(
+        self, over: Mapping[Hashable, object], cut: Mapping[Hashable, object], elapsed: int
+    ) -> tuple[bool, bool]:
+        """Whether the episode terminated, or else was truncated, for all agents.
+
+        Of an agent that a dictionary does not name, it did not. Where some terminate in the step
+        in which the others run out of time, the time limit ended the team's episode.
+
+        Raises:
+            UserError: it is over for some only.
+        """
+        env_id, agents = self.spec.env_id, self._admitted.agents
+        terminated, truncated = (
+            [checks.ended(env_id, a.spec.name, what, by.get(a.key, False)) for a in agents]
+            for what, by in (("terminations", over), ("truncations", cut))
+        )
+        if all(terminated):
+            return True, False
+        if elapsed >= self.spec.max_episode_steps:
+            return False, True
+        ended = [t or c for t, c in zip(terminated, truncated, strict=True)]
+        if any(ended) and not all(ended):
+            raise self._gone(self.spec.names[ended.index(True)])
+        return False, all(ended)
 
     def state(self) -> Float64:
         """What the agents observe, (E, state_size): to compare, not to go back to."""
@@ -243,4 +255,4 @@ class PettingZooEnv:
     def close(self) -> None:
         """Close the copies."""
         for env in self._envs:
-            env.close()
+            _close(self.spec.env_id, env)

@@ -32,6 +32,8 @@ class _Family:
     shares_reward: bool = True  # whether all agents get the same one, whatever happens
     # Simulator states from what agents observe, None of a task that does not show them.
     states_of: Callable[[str, Float32], Float64 | None] | None = None
+    # In words, what a user should know of how the environment is driven.
+    remarks: Callable[[str], tuple[str, ...]] | None = None
     most_copies: int | None = None  # of those that nobody asked for; None: they cost little
 
 
@@ -100,6 +102,7 @@ _FAMILIES = (
         pettingzoo_adapter.knows,
         pettingzoo_adapter.team_spec,
         _make_pettingzoo,
+        remarks=pettingzoo_adapter.remarks,
         shares_reward=False,
     ),
 )
@@ -155,6 +158,15 @@ def task(env_id: str) -> Task | None:
     """Reward and termination as one agent can tell them; None if the task does not say."""
     task_of = _family(env_id).task
     return task_of(env_id) if task_of else None
+
+
+def remarks(env_id: str) -> tuple[str, ...]:
+    """In words, what is done to an environment's actions; of most, nothing.
+
+    Raises UserError if unknown.
+    """
+    remarks_of = _family(env_id).remarks
+    return remarks_of(env_id) if remarks_of else ()
 
 
 def shares_reward(env_id: str) -> bool:

@@ -168,7 +168,10 @@ def test_what_cannot_be_used_is_said_in_one_line(module, text: str, said: str) -
     ("text", "said"),
     [
         (toy(leaves="['left']"), "left is gone before the episode's end"),
-        (toy(reward="float('nan')"), "a reward that is NaN"),
+        (
+            toy(reward="float('nan')"),
+            "the reward of left is nan; it must be finite, also in float32",
+        ),
         (toy(reward="None"), "the reward of left is None; it must be a number"),
         (
             toy(instead="return self.look(), 1.0, False, {}"),
@@ -228,7 +231,7 @@ def test_a_mask_may_be_all_zero_once_the_episode_has_terminated(module) -> None:
         ),
         (
             toy(seen="None").replace("return self.seen", "return self.sight"),
-            ": asked for its agents and their spaces, it raised AttributeError: 'Toy' object has"
+            ": asked for the spaces of left, it raised AttributeError: 'Toy' object has"
             f" no attribute 'sight' (own.py:{TOY.splitlines().index(SEEN) + 1})",
         ),
         ("def parallel_env():\n    raise KeyError", " cannot be made: KeyError (own.py:2)"),
