@@ -1,5 +1,6 @@
 """Whatever happens to messages and processes, the run ends with the same bytes."""
 
+import os
 import signal
 import socket
 import subprocess
@@ -59,9 +60,12 @@ def test_a_killed_env_host_that_is_restarted_ends_with_the_same_bytes(
     assert run.result() == undisturbed.result()
 
 
-def test_a_stopped_run_goes_on_where_it_was(run: Services, undisturbed: Services) -> None:
+def test_a_stopped_run_goes_on_where_it_was(
+    run: Services, undisturbed: Services, tmp_path: Path
+) -> None:
     """What Ctrl-C and --resume do: all processes end in order, and start again later."""
-    run.start("host", delay=0.01)
+    os.mkfifo(tmp_path / "gate")
+    run.start("host", hold=["deployment", 1, 10, str(tmp_path / "gate")])
     for agent in AGENTS:
         run.start(agent, stub=True)
     run.wait_for_file(partial_path(run.folder.deployment(1)))
@@ -154,7 +158,7 @@ def test_another_protocol_version_is_refused_in_one_sentence(run: Services) -> N
 
 
 def test_a_router_between_all_processes_changes_no_byte_even_if_it_is_killed(
-    run: Services, undisturbed: Services
+    run: Services, undisturbed: Services, tmp_path: Path
 ) -> None:
     """Somebody else's router, with Zenoh's own defaults; nobody listens but that."""
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -163,15 +167,18 @@ def test_a_router_between_all_processes_changes_no_byte_even_if_it_is_killed(
     def route() -> subprocess.Popen[bytes]:
         return subprocess.Popen([sys.executable, ROUTER, endpoint])
 
-    router = route()
+    gate, router = tmp_path / "gate", route()
+    os.mkfifo(gate)
+    held = {"hold": ["deployment", 1, 10, str(gate)]}
     try:
         for process in PROCESSES:
-            faults = {"delay": 0.01} if process == "host" else {"stub": True}
+            faults = held if process == "host" else {"stub": True}
             run.start(process, "--connect", endpoint, "--insecure", **faults)
         run.wait_for_file(partial_path(run.folder.deployment(1)))
         router.kill()
         router.wait()
         router = route()
+        gate.open("w").close()
         assert set(run.wait_all().values()) == {0}, run.output("host")
     finally:
         router.kill()

@@ -7,6 +7,7 @@ Faults, all optional:
     drop        every message is lost the first so many times
     delay       every message waits up to so many seconds, from a generator seeded by the process
     kill        [phase, deployment, step]: SIGKILL itself instead of publishing its message of then
+    hold        [phase, deployment, step, FIFO]: wait there before the first message of then
     mute        publish no actions
     version     speak this protocol version
     full_disk   writing a log fails after so many steps
@@ -140,6 +141,7 @@ def _instrument(faults: dict[str, object], keys: set[str]) -> None:
     session = module.Session
     delays = random.Random(" ".join(sys.argv))
     sent: Counter[bytes] = Counter()
+    hold = list(faults.get("hold", []))  # type: ignore[call-overload]
 
     def publisher(self, key, original=session.publisher):  # type: ignore[no-untyped-def]
         keys.add(key)
@@ -154,6 +156,10 @@ def _instrument(faults: dict[str, object], keys: set[str]) -> None:
             phase = next(phase for phase, told in PHASES.items() if told == number)
             if faults.get("kill") == [phase, deployment, step]:
                 os.kill(os.getpid(), signal.SIGKILL)
+            if hold[:3] == [phase, deployment, step]:
+                gate = Path(str(hold[3]))
+                hold.clear()
+                gate.open().close()  # returns when the test opens its end
             if faults.get("delay"):
                 time.sleep(delays.random() * float(faults["delay"]))  # type: ignore[arg-type]
             sent[payload] += 1
