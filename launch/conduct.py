@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Mapping
 
-from otc_dist import checkpoint
+from otc_dist import checkpoint, inputs
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
 from otc_dist.datasets.card import FILE_NAME as CARD
@@ -56,7 +56,11 @@ def conduct(plan: Plan, record: RunRecord) -> int:
     with Signals() as signals:
         try:
             with Supervisor(signals) as supervisor:
+                description = plan.description
+                record = record.with_inputs(inputs.sources(description), description, plan.folder)
                 _complete(plan, plan.preparations, supervisor, signals)
+                data = inputs.data(description, plan.learners)
+                record = record.with_inputs(data, description, plan.folder)
                 if plan.place.role == "all":
                     check_rewards(plan.description, plan.learners)
                 if plan.data_folder is not None:

@@ -7,7 +7,7 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
@@ -18,6 +18,7 @@ from typing import Literal, Self
 from otc_dist import __version__, durable
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.inputs import Digests, check
 from otc_dist.run_folder import RunFolder
 
 from .place import Place
@@ -44,11 +45,24 @@ class RunRecord:
     place: Place = field(default_factory=Place)  # what of the run this folder is of
     resumed: tuple[str, ...] = ()  # when --resume went on with it
     extended: tuple[int, ...] = ()  # to how many deployments --deployments extended it
+    inputs: Mapping[str, str] = field(default_factory=dict)  # see `otc_dist.inputs`
     origin: str | None = None  # the run whose policies pi_0 it began with; None: it trained them
 
     def write(self, folder: RunFolder) -> None:
         """Replace run.json in one step."""
         durable.write(folder.run_json, (json.dumps(asdict(self), indent=2) + "\n").encode())
+
+    def with_inputs(self, found: Digests, description: Description, folder: RunFolder) -> Self:
+        """The record with what was not noted yet, written.
+
+        Raises:
+            UserError: an input is another one than was noted.
+        """
+        check(self.inputs, found, description)
+        record = replace(self, inputs={**found, **self.inputs})
+        if record != self:
+            record.write(folder)
+        return record
 
     def moved_to(self, state: State, folder: RunFolder) -> Self:
         """The record with another state, written."""

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from otc_dist import durable
+from otc_dist import durable, inputs
 from otc_dist.bus.access import host_rules
 from otc_dist.bus.endpoints import remove_local_endpoint
 from otc_dist.bus.handshake import offer
@@ -294,6 +294,7 @@ def main() -> None:
 
     def body() -> None:
         run = Run.open(arguments.run)
+        run.check(inputs.sources(run.description))
         session = _open(run, arguments)
         try:
             EnvHost(run, session).serve(arguments.patience)

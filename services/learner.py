@@ -8,6 +8,7 @@ or, after a restart, asks of the env host's log.
 import logging
 from typing import TYPE_CHECKING
 
+from otc_dist import inputs
 from otc_dist.bus.handshake import agree
 from otc_dist.bus.history import History
 from otc_dist.bus.lockstep import GaveUpError, LearnerLockstep
@@ -263,6 +264,7 @@ def main() -> None:
         if arguments.agent not in run.team.names:
             raise unknown("agent", arguments.agent, run.team.names)
         agent = run.team.agents[run.team.index(arguments.agent)]
+        run.check(inputs.data(run.description, [agent.name]))
         there = arguments.connect
         door = door_at(there, agent.name, arguments) if there else run.local_door
         deadline = patience(run, arguments)

@@ -20,6 +20,7 @@ from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
 from otc_dist.errors import UserError, leave
 from otc_dist.exploration import Schedule
+from otc_dist.inputs import Digests, check
 from otc_dist.parser import Parser
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
@@ -47,6 +48,7 @@ class Run:
     description: Description
     team: TeamSpec
     keys: Keys
+    inputs: Digests  # with which it began; see there
 
     @classmethod
     def open(cls, root: Path) -> Self:
@@ -58,7 +60,8 @@ class Run:
         folder = RunFolder(root.resolve())
         description = Description.load(folder.description)
         try:
-            run = json.loads(folder.run_json.read_text(encoding="utf-8"))["run"]
+            record = json.loads(folder.run_json.read_text(encoding="utf-8"))
+            run, noted = record["run"], dict(record.get("inputs", {}))
         except (OSError, ValueError, KeyError, TypeError):
             raise UserError(f"{folder.run_json} does not name the run; is {root} one?") from None
         size, copies = description.deployment.transitions, description.env.copies
@@ -67,7 +70,11 @@ class Run:
                 f"{folder.description} is not resolved: deployment.transitions is {size},"
                 f" no multiple of env.copies ({copies})"
             )
-        return cls(folder, description, team_spec(description.env.id), Keys(str(run)))
+        return cls(folder, description, team_spec(description.env.id), Keys(str(run)), noted)
+
+    def check(self, found: Digests) -> None:
+        """Raises UserError if an input is another one than when the run began."""
+        check(self.inputs, found, self.description)
 
     @property
     def schedule(self) -> Schedule:

@@ -13,18 +13,18 @@ It cannot be set to a state, so `state` is what the agents observe: a deployment
 continued by playing its episodes again, and that shows whether they came out the same.
 """
 
-import hashlib
 import importlib
 import re
+import sys
 from collections.abc import Hashable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from otc_dist.envs import own_sources
 from otc_dist.envs import pettingzoo_checks as checks
 from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.envs.pettingzoo_admission import Admitted, admitted, inner
@@ -66,7 +66,7 @@ def remarks(env_id: str) -> tuple[str, ...]:
 
 @cache
 def versions(env_id: str) -> dict[str, str]:
-    """Of PettingZoo and of what makes the environment: its package, and the user's module.
+    """Of PettingZoo and of what makes the environment: its package, and the user's sources.
 
     Raises:
         UserError: as `team_spec`.
@@ -80,13 +80,31 @@ def versions(env_id: str) -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:  # the user's own module
             continue
-    module = importlib.import_module(env_id.partition(":")[0])
-    source = Path(str(module.__file__)).read_bytes()
-    return {**found, f"{module.__name__} sha256": hashlib.sha256(source).hexdigest()}
+    named = env_id.partition(":")[0]
+    files = {f"{named.replace('.', '/')}{end}" for end in (".py", "/__init__.py")}
+    for path, digest in sources(env_id).items():
+        found[f"{named if path in files else path} sha256"] = digest
+    return found
+
+
+@cache
+def sources(env_id: str) -> dict[str, str]:
+    """Path -> SHA-256 of the user's own sources of an environment; see `own_sources`.
+
+    Raises:
+        UserError: as `team_spec`.
+    """
+    team_spec(env_id)  # which makes it
+    return own_sources.digests(env_id.partition(":")[0], _brought[env_id])
+
+
+# Environment -> the modules that were loaded when it was first made in this process.
+_brought: dict[str, frozenset[str]] = {}
 
 
 def _made(env_id: str) -> Any:  # PettingZoo is untyped
     module_name, _, function = env_id.partition(":")
+    before = frozenset(sys.modules)
     try:
         made = getattr(importlib.import_module(module_name), function)()
     except ModuleNotFoundError as error:
@@ -108,6 +126,7 @@ def _made(env_id: str) -> Any:  # PettingZoo is untyped
             f"{env_id} gave {type(made).__name__}, which is no ParallelEnv of PettingZoo with"
             " `possible_agents`"
         )
+    _brought.setdefault(env_id, frozenset(sys.modules) - before)
     return made
 
 

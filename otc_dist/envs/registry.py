@@ -34,6 +34,7 @@ class _Family:
     states_of: Callable[[str, Float32], Float64 | None] | None = None
     # In words, what a user should know of how the environment is driven.
     remarks: Callable[[str], tuple[str, ...]] | None = None
+    sources: Callable[[str], dict[str, str]] | None = None  # None: all are this package's
     most_copies: int | None = None  # of those that nobody asked for; None: they cost little
 
 
@@ -104,6 +105,7 @@ _FAMILIES = (
         _make_pettingzoo,
         remarks=pettingzoo_adapter.remarks,
         shares_reward=False,
+        sources=pettingzoo_adapter.sources,
     ),
 )
 
@@ -142,6 +144,15 @@ def make(env_id: str, copies: int, progress: float | None = None) -> BatchedEnv:
         ValueError: fewer than one copy.
     """
     return _family(env_id).make(env_id, copies, progress)
+
+
+def sources(env_id: str) -> dict[str, str]:
+    """Path -> SHA-256 of the sources of an environment of the user's own; none of any other.
+
+    Raises UserError if unknown, or if it cannot be made.
+    """
+    sources_of = _family(env_id).sources
+    return sources_of(env_id) if sources_of else {}
 
 
 def affordable(env_id: str, copies: int) -> int:

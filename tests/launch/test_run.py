@@ -2,17 +2,25 @@
 
 import json
 import os
+import re
 import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from otc_dist import certs
+from otc_dist import certs, inputs
+from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_files
+from otc_dist.errors import UserError
+from otc_dist.launch import descriptions, run_record
 from otc_dist.launch.__main__ import main
+from otc_dist.launch.place import Place
+from otc_dist.launch.resolve import resolve
 from otc_dist.launch.run_record import RunRecord
 from otc_dist.run_folder import RunFolder
 
@@ -186,6 +194,28 @@ def test_a_run_trains_from_what_another_one_deployed(
         trained = [folder.checkpoint(agent, k).read_bytes() for k in (0, 1)]
         assert finished[0].checkpoint(agent, 0).read_bytes() not in trained
         assert trained[0] != trained[1]
+
+
+def test_a_run_does_not_go_on_with_other_data_of_the_same_name(
+    finished: tuple[RunFolder, Launcher], tmp_path: Path, tiny_flags: tuple[str, ...]
+) -> None:
+    """Neither its launcher, nor a learner that is started again in mid-run."""
+    name = str(import_files([finished[0].deployment(1)], "swapped").name)
+    chosen = (f"dataset.name={name}", "dataset.transitions=0")
+    description = resolve(
+        descriptions.load("3agent_hopper", (*tiny_flags[1::2], *chosen), None, quick=False)
+    )
+    folder = run_record.make_folder(tmp_path / "run", needed=0)
+    record = run_record.create(folder, description, quick=False, place=Place())
+    record.with_inputs(inputs.data(description, AGENTS), description, folder)
+    shutil.rmtree(store.agent_file(name, "agent_0").parent)
+    import_files([finished[0].deployment(2)], "swapped")
+    says = rf"the data of agent_0 \({name}\) are others than when the run began"
+    with pytest.raises(UserError, match=says):
+        main(["--resume", str(folder.root)])
+    learner = ("-m", "otc_dist.services.learner", "--run", str(folder.root), "--agent", "agent_0")
+    done = subprocess.run([sys.executable, *learner], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and re.match(f"error: {says}", done.stderr)
 
 
 def test_separate_hosts_come_to_the_bytes_of_one_machine(

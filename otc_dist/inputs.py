@@ -1,0 +1,61 @@
+"""What a run reads beside its description, by digests: whoever goes on with it needs the same.
+
+run.json holds them under `inputs`, by names that `sources` and `data` give.
+"""
+
+from collections.abc import Iterable, Mapping
+
+from otc_dist.datasets import store
+from otc_dist.datasets.card import file_sha256
+from otc_dist.description import Description
+from otc_dist.envs import registry
+from otc_dist.errors import UserError
+
+Digests = Mapping[str, str]  # name of an input -> its SHA-256
+_SOURCE = "source "
+
+
+def sources(description: Description) -> dict[str, str]:
+    """The files of an environment of the user's own; none of the package's.
+
+    Raises:
+        UserError: it cannot be made.
+    """
+    found = registry.sources(description.env.id)
+    return {f"{_SOURCE}{path}": digest for path, digest in found.items()}
+
+
+def data(description: Description, agents: Iterable[str]) -> dict[str, str]:
+    """The data files of these agents.
+
+    Raises:
+        UserError: one cannot be read.
+    """
+    dataset, found = description.dataset, {}
+    for agent in agents:
+        path = store.agent_file(dataset.name, agent, dataset.transitions)
+        try:
+            found[f"data of {agent}"] = file_sha256(path)
+        except OSError as error:
+            raise UserError(f"cannot read {path}: {error.strerror}") from None
+    return found
+
+
+def check(noted: Digests, found: Digests, description: Description) -> None:
+    """Refuse to go on with others than were noted; what was never noted is not judged.
+
+    Raises:
+        UserError: one differs; it is named.
+    """
+    for name, digest in found.items():
+        if noted.get(name, digest) == digest:
+            continue
+        if name.startswith(_SOURCE):
+            raise UserError(
+                f"{name.removeprefix(_SOURCE)}, which {description.env.id} loads, is another than"
+                " when the run began: restore it, or start a new run"
+            )
+        raise UserError(
+            f"the {name} ({description.dataset.name}) are others than when the run began: import"
+            " them again as they were, or start a new run"
+        )
