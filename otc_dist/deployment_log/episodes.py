@@ -3,10 +3,18 @@
 import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
+from otc_dist import records
+from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.record import Rows
+from otc_dist.errors import UserError
+
+_Count = Annotated[int, Field(ge=0, lt=2**32)]
 
 
 @dataclass(frozen=True)
@@ -14,9 +22,9 @@ class Episode:
     """One episode of one copy. Where neither end is set, the steps ended before it did."""
 
     seed: int
-    copy: int
-    start: int  # the step of the deployment at which it began
-    length: int  # steps
+    copy: _Count
+    start: _Count  # the step of the deployment at which it began
+    length: Annotated[int, Field(ge=1, lt=2**32)]  # steps
     returns: tuple[float, ...]  # by agent, undiscounted
     terminated: bool
     truncated: bool
@@ -67,6 +75,14 @@ def to_json(episodes: Iterable[Episode]) -> str:
     return json.dumps([asdict(episode) for episode in episodes])
 
 
-def from_json(text: str) -> list[Episode]:
-    """Inverse of `to_json`."""
-    return [Episode(**{**item, "returns": tuple(item["returns"])}) for item in json.loads(text)]
+def from_json(text: str, header: LogHeader, path: Path) -> list[Episode]:
+    """Inverse of `to_json`, for a log with that header; `path` is for the message.
+
+    Raises:
+        UserError: it is no table of episodes, or not one of such a log.
+    """
+    found = records.from_json(list[Episode], text, f"{path}: its table of episodes")
+    for episode in found:
+        if episode.copy >= header.copies or len(episode.returns) != len(header.team.agents):
+            raise UserError(f"{path}: its table of episodes is of other copies or agents")
+    return found

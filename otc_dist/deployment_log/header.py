@@ -6,11 +6,17 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, ValidationError
 
 import otc_dist
 from otc_dist.deployment_log.format import FORMAT_VERSION, MINIMUM_FORMAT_VERSION
+from otc_dist.deployment_log.record import RecordLayout
 from otc_dist.errors import UserError
-from otc_dist.spec import AgentSpec, TeamSpec
+from otc_dist.names import Name
+from otc_dist.records import why
+from otc_dist.spec import TeamSpec, check_team
 
 _RECORDED_PACKAGES = ("mujoco", "numpy", "mcap", "msgpack", "torch", "eclipse-zenoh")
 
@@ -66,9 +72,13 @@ class LogHeader:
         """Inverse of `to_entries`; `path` is for the message.
 
         Raises:
-            UserError: the log is of a version that this code does not read.
+            UserError: the log is of a version that this code does not read, a field is missing or
+                is not what it must be, or a step is larger than a record may be.
         """
-        format_version = int(entries["format_version"])
+        try:
+            format_version = int(entries.get("format_version", ""))
+        except ValueError:
+            raise UserError(f"{path}: its header has no format_version") from None
         if not MINIMUM_FORMAT_VERSION <= format_version <= FORMAT_VERSION:
             newer = format_version > FORMAT_VERSION
             raise UserError(
@@ -78,33 +88,28 @@ class LogHeader:
                 f"{'at most' if newer else 'at least'} version "
                 f"{FORMAT_VERSION if newer else MINIMUM_FORMAT_VERSION}"
             )
-        return cls(
-            run=entries["run"],
-            deployment=int(entries["deployment"]),
-            seed=int(entries["seed"]),
-            description=entries["description"],
-            description_digest=entries["description_digest"],
-            team=_team(json.loads(entries["team"])),
-            copies=int(entries["copies"]),
-            versions=json.loads(entries["versions"]),
-            format_version=format_version,
-        )
+        try:
+            fields = _Entries.model_validate(entries)
+        except ValidationError as error:
+            raise UserError(f"{path}: its header is not valid: {why(error)}") from None
+        try:
+            RecordLayout(fields.team, fields.copies)
+        except UserError as error:
+            raise UserError(f"{path}: its header is not valid: {error}") from None
+        return cls(**{name: getattr(fields, name) for name in _Entries.model_fields})
 
 
-def _team(data: dict[str, object]) -> TeamSpec:
-    agents = data.pop("agents")
-    if not isinstance(agents, list):
-        raise TypeError(f"agents is a list, not {type(agents).__name__}")
-    return TeamSpec(
-        agents=tuple(
-            AgentSpec(
-                name=agent["name"],
-                observation_size=agent["observation_size"],
-                action_low=tuple(agent["action_low"]),
-                action_high=tuple(agent["action_high"]),
-                choices=agent.get("choices", 0),
-            )
-            for agent in agents
-        ),
-        **data,  # type: ignore[arg-type]  # the checksum has vouched for what we wrote
-    )
+class _Entries(BaseModel):
+    """A header's entries, all strings; a checksum vouches for their bytes, and for no more."""
+
+    model_config = ConfigDict(frozen=True)
+
+    format_version: int
+    run: Name
+    deployment: int = Field(ge=1, lt=2**31)
+    seed: int = Field(ge=0, lt=2**63)
+    description: str
+    description_digest: str = Field(pattern=r"^[0-9a-f]{0,64}$")
+    team: Json[Annotated[TeamSpec, AfterValidator(check_team)]]
+    copies: int = Field(ge=1, lt=2**31)
+    versions: Json[dict[str, str]]

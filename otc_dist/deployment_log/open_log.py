@@ -1,7 +1,6 @@
 """A log as blocks of rows, finished or not. What is read has passed its checksum."""
 
 import io
-import json
 import os
 import struct
 import zlib
@@ -19,6 +18,7 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
+from otc_dist import records
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.format import DamagedLogError, partial_path, unseal
 from otc_dist.deployment_log.header import LogHeader
@@ -167,7 +167,12 @@ class OpenLog:
         names = [index.name for index in self._summary.metadata_indexes] if self._summary else []
         if fmt.RANGES not in names:
             return [(0, self.steps())]
-        return [(low, high) for low, high in json.loads(self.metadata(fmt.RANGES)["ranges"])]
+        table = self.metadata(fmt.RANGES).get("ranges", "")
+        found = records.from_json(list[tuple[int, int]], table, f"{self.path}: its table of gaps")
+        bounds = [bound for pair in found for bound in pair]
+        if not bounds or bounds[0] < 0 or bounds != sorted(set(bounds)):
+            raise UserError(f"{self.path}: its table of gaps is not in order")
+        return found
 
     def steps(self) -> int:
         """Number of steps. Of an unfinished log: of its complete records, checksums unread."""

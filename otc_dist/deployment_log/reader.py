@@ -96,7 +96,8 @@ def summarise(log: OpenLog) -> LogSummary:
     """As `read_summary`, of a log that is open already."""
     if log.finished:
         policies = log.metadata(fmt.POLICIES)
-        episodes = from_json(log.metadata(fmt.EPISODES)["episodes"])
+        table = log.metadata(fmt.EPISODES).get("episodes", "")
+        episodes = from_json(table, log.header, log.path)
     else:
         policies, episodes = {}, find_episodes(log.blocks(), len(log.header.team.agents))
     return LogSummary(

@@ -61,13 +61,14 @@ class RecordLayout:
             "log_time": (time, (), _PREFIX_SIZE + 4),
             "publish_time": (time, (), _PREFIX_SIZE + 12),
         }
+        # Before anything of that size is made: the numbers may come from somebody else's file.
+        numbers = sum(2 * agent.observation_size + agent.action_size + 1 for agent in team.agents)
+        if (about := copies * (4 * numbers + 8 * team.state_size)) > MAXIMUM_RECORD:
+            raise _too_large(copies, about)
         payload = self._payload()
         self.size = PAYLOAD_START + len(payload)
         if self.size > MAXIMUM_RECORD:
-            raise UserError(
-                f"env.copies = {copies} makes log records of {self.size / 2**20:.0f} MiB;"
-                f" at most {MAXIMUM_RECORD / 2**20:.0f} MiB are allowed"
-            )
+            raise _too_large(copies, self.size)
         frame = _FRAME.pack(MESSAGE_OPCODE, self.size - _FRAME.size)
         self.template = frame + _MESSAGE.pack(CHANNEL_ID, 0, 0, 0) + payload
         self.prefix = self.template[:_PREFIX_SIZE]
@@ -247,6 +248,13 @@ class RecordLayout:
             terminated=flat("terminated"),
             truncated=flat("truncated"),
         )
+
+
+def _too_large(copies: int, size: int) -> UserError:
+    return UserError(
+        f"env.copies = {copies} makes log records of {size / 2**20:.0f} MiB;"
+        f" at most {MAXIMUM_RECORD / 2**20:.0f} MiB are allowed"
+    )
 
 
 class StepEncoder:

@@ -29,7 +29,7 @@ class Recording:
             1000,
         )
         self.header = LogHeader(
-            run="a run", deployment=3, seed=7, description='name = "téam"\n',
+            run="a-run", deployment=3, seed=7, description='name = "téam"\n',
             description_digest="0123456789abcdef", team=self.team, copies=copies,
         )  # fmt: skip
         self.rng = np.random.default_rng(0)

@@ -187,6 +187,8 @@ def test_a_step_of_another_team_is_refused(tmp_path: Path, small, same, change: 
 
 
 def test_the_header_keeps_all_of_the_team(small) -> None:
-    agent = replace(small.team.agents[0], action_low=(0.0,), action_high=(4.0,), choices=5)
+    agent = replace(
+        small.team.agents[0], observation_size=8, action_low=(0.0,), action_high=(4.0,), choices=5
+    )
     header = replace(small.header, team=replace(small.team, agents=(agent,)))
     assert LogHeader.from_entries(header.to_entries(), Path("log")) == header

@@ -53,7 +53,7 @@ def test_the_mcap_library_reads_a_finished_log(tmp_path: Path, small) -> None:
         triples = list(reader.iter_messages("joint_step"))
 
     header = metadata["otc_dist.header"]
-    assert header["run"] == "a run" and header["seed"] == "7" and header["deployment"] == "3"
+    assert header["run"] == "a-run" and header["seed"] == "7" and header["deployment"] == "3"
     assert header["description"] == small.header.description
     assert json.loads(header["versions"])["numpy"] == np.__version__
     assert metadata["otc_dist.policies"]["agent_1"] == "digest of agent_1"
@@ -74,7 +74,7 @@ def test_the_crc_over_all_data_holds(tmp_path: Path, small) -> None:
         return sum(1 for _ in reader.iter_messages("joint_step"))
 
     assert read() == 12
-    data[data.index(b"a run") + 2] = ord("-")  # outside of the chunks
+    data[data.index(b"a-run") + 2] = ord("_")  # outside of the chunks
     with pytest.raises(CRCValidationError):
         read()
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from otc_dist import names
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
@@ -18,7 +19,7 @@ def play(
     """Record a deployment at `path` and finish its log; its steps."""
     env = registry.make(env_id, copies, 0.0)
     header = LogHeader(
-        run=run or f"<{env_id}> & co",  # whoever puts it into a page has to escape it
+        run=run or f"played-{names.from_text(env_id)}",
         deployment=deployment,
         seed=5,
         description="",

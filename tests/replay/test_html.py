@@ -77,7 +77,7 @@ def test_the_page_holds_what_the_log_holds(page: Path, deployment) -> None:
 def test_the_page_stands_alone_and_escapes_what_it_is_given(page: Path) -> None:
     text = page.read_text()
     assert not re.search(r"""(src|href)\s*=|url\(|https?://|@import|fetch\(""", text)
-    assert "<title>&lt;hopper-3x1&gt; &amp; co, deployment 2</title>" in text
+    assert "<title>played-hopper-3x1, deployment 2</title>" in text
 
 
 def test_the_same_log_gives_the_same_page(page: Path, deployment, tmp_path, replay) -> None:

@@ -22,7 +22,7 @@ def test_it_tells_run_agents_steps_episodes_returns_policies_versions_gaps(
     returns = np.array([np.mean(e.returns) for e in ended])
     lines = {line[2:16].strip(): line[16:] for line in told.splitlines()[1:]}
     assert told.startswith(str(path))
-    assert lines["run"] == "a run, deployment 3, seed 7"
+    assert lines["run"] == "a-run, deployment 3, seed 7"
     assert lines["state"] == "finished"
     assert lines["environment"] == "test-team, 2 copies"
     assert lines["agent_1"] == "observation 40, action 2, policy digest of agent_1"
