@@ -1,16 +1,32 @@
-"""The last lines of a finished run: what tuning brought, and where the report is."""
+"""The last lines of a finished run: what happened, good or bad, and where the report is."""
 
 import json
+import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from rich.console import Console
+
 from otc_dist.run_folder import RunFolder
+
+_STYLES = {"good": "bold green", "bad": "bold red"}  # by the verdict's tone
+
+
+def show_closing(folder: RunFolder) -> None:
+    """Print the lines; on a terminal the first is coloured by whether it is good or bad."""
+    tone = _read(folder)["verdict"]["tone"]
+    first, *others = closing_lines(folder)
+    console = Console(force_terminal=sys.stdout.isatty(), highlight=False, soft_wrap=True)
+    console.print(first, style=_STYLES.get(tone, "bold"), markup=False)
+    print("\n".join(others), flush=True)
 
 
 def closing_lines(folder: RunFolder) -> Iterator[str]:
     """From results.json, which the report has just written."""
-    results = json.loads(folder.results.read_text(encoding="utf-8"))
+    results = _read(folder)
     label = f" ({results['label']})" if results["label"] else ""
+    yield results["verdict"]["sentence"]
+    yield from results["verdict"]["more"]
     yield f"{results['name']}{label}: finished"
     table: list[Mapping[str, Any]] = results["table"]
     if table:
@@ -31,6 +47,11 @@ def closing_lines(folder: RunFolder) -> Iterator[str]:
     if results["recommended"] is not None:
         yield _recommended(results["recommended"])
     yield f"report: {folder.report}"
+
+
+def _read(folder: RunFolder) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(folder.results.read_text(encoding="utf-8"))
+    return found
 
 
 def _recommended(told: Mapping[str, Any]) -> str:

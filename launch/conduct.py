@@ -17,7 +17,7 @@ from otc_dist.errors import UserError
 from . import descriptions
 from .approve import waiting_lines
 from .board import Board
-from .closing import closing_lines
+from .closing import show_closing
 from .crew import MISTAKE, Crew, DiedError
 from .forecast import Remaining
 from .keep import check_rewards
@@ -73,7 +73,7 @@ def conduct(plan: Plan, record: RunRecord) -> int:
                 record.moved_to("finished", plan.folder)
                 _complete(plan, plan.conclusions, supervisor, signals)
             if plan.conclusions:
-                print("\n".join(closing_lines(plan.folder)))
+                show_closing(plan.folder)
             else:
                 print(f"{title}: finished; the env host has the results")
         except _StoppedError:

@@ -5,13 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from otc_dist.randomness import stream
+from otc_dist.report.statistics import LEVEL, student_interval
 from otc_dist.transitions import Float64
 
 RESAMPLES = 10_000
-LEVEL = 0.95
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,14 @@ class Difference:
         seeds = sorted(by_seed)
         values = np.array([by_seed[seed] for seed in seeds], np.float64)
         mean, iqm = float(values.mean()), interquartile_mean(values)
-        return cls(seeds, values.tolist(), mean, iqm, *bootstrap(values), *student_interval(values))
+        return cls(
+            seeds,
+            values.tolist(),
+            mean,
+            iqm,
+            *bootstrap(values),
+            *student_interval(values.tolist()),
+        )
 
     def __str__(self) -> str:
         """`+12.3 [-4.5, +29.1]`, with the bootstrap interval."""
@@ -95,13 +101,3 @@ def bootstrap(values: Float64) -> tuple[float, float]:
     tail = 50 * (1 - LEVEL)
     low, high = np.percentile(values[chosen].mean(axis=1), [tail, 100 - tail])
     return float(low), float(high)
-
-
-def student_interval(values: Float64) -> tuple[float, float]:
-    """95% interval of the mean by Student's t, which few values make as wide as they must."""
-    count = len(values)
-    if count < 2:
-        return math.nan, math.nan
-    quantile = float(stdtrit(count - 1, (1 + LEVEL) / 2))
-    half = quantile * float(values.std(ddof=1)) / math.sqrt(count)
-    return float(values.mean()) - half, float(values.mean()) + half

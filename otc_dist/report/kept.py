@@ -6,8 +6,11 @@ from dataclasses import asdict, dataclass
 from otc_dist import keeping
 from otc_dist.measured import Measured
 from otc_dist.report import html
+from otc_dist.report.axes import Range
+from otc_dist.report.numbers import NOTHING, column, columns, number
 from otc_dist.report.run_data import RunData
-from otc_dist.report.svg import NOTHING, Reference, Series, line_chart, number
+from otc_dist.report.statistics import Spread
+from otc_dist.report.svg import Reference, Series, line_chart
 
 
 @dataclass(frozen=True)
@@ -108,47 +111,66 @@ def named(told: Mapping[str, object]) -> str:
     return f"the policy of deployment {told['deployment']}, pi_{told['policy']}"
 
 
+def returns_range(run: RunData) -> Range | None:
+    """What the axes of all charts of returns hold, so that they can be compared; None: nothing."""
+    values = [row.mean + way * row.error for row in estimates(run) for way in (-1, 1)]
+    for one in run.evaluations:
+        if spread := Spread.of(one.returns):
+            values += [spread.mean - spread.std, spread.mean + spread.std]
+    return (min(values), max(values)) if values else None
+
+
 def section(run: RunData) -> str:
     """The estimates with their errors beside the greedy returns, as a chart and a table."""
     table = estimates(run)
     if not table:
         return ""
     ks, kept = [float(row.deployment) for row in table], recommended(run)
-    floor = run.description.deployment.floor
-    chart = line_chart(
-        [
-            Series(
-                "measured, ±1 standard error",
-                ks,
-                [row.mean for row in table],
-                [row.mean - row.error for row in table],
-                [row.mean + row.error for row in table],
-                spread="bars",
-            ),
-            Series(
-                "greedy return of the same policy",
-                ks,
-                [float("nan") if row.greedy_return is None else row.greedy_return for row in table],
-            ),
-        ],
-        title="What each deployment measured of the policy that acted in it",
-        x_label="deployment",
-        y_label="return",
-        references=[] if floor is None else [Reference("floor", floor)],
-    )
-    head = ["deployment", "policy", "measured", "episodes", "greedy return"]
-    reverts = any(row.reverted_to is not None for row in table)
-    body = [
-        [
-            str(row.deployment) + (" (recommended)" if kept and _is(row, kept) else ""),
-            f"pi_{row.policy}",
-            f"{number(row.mean)} ± {number(row.error)}",
-            str(row.episodes),
-            NOTHING if row.greedy_return is None else number(row.greedy_return),
-            *([NOTHING if row.reverted_to is None else f"pi_{row.reverted_to}"] * reverts),
-        ]
-        for row in table
+    floor, total = run.description.deployment.floor, run.description.deployment.total
+    series = [
+        Series(
+            "measured, ±1 standard error",
+            ks,
+            [row.mean for row in table],
+            [row.mean - row.error for row in table],
+            [row.mean + row.error for row in table],
+            spread="bars",
+        ),
+        Series(
+            "greedy return of the same policy",
+            ks,
+            [float("nan") if row.greedy_return is None else row.greedy_return for row in table],
+        ),
     ]
+    chart = html.chart(
+        lambda width, height: line_chart(
+            series,
+            title="Of the policy that acted in each deployment",
+            x_label="deployment",
+            y_label="return",
+            references=[] if floor is None else [Reference("floor", floor)],
+            x_range=(0, total),
+            y_range=returns_range(run),
+            width=width,
+            height=height,
+        )
+    )
+    measured, errors = columns((row.mean for row in table), (row.error for row in table))
+    listed = {
+        "deployment": [
+            f"{row.deployment}{' (recommended)' if kept and _is(row, kept) else ''}"
+            for row in table
+        ],
+        "policy": [f"pi_{row.policy}" for row in table],
+        "measured": measured,
+        "± error": errors,
+        "episodes": [str(row.episodes) for row in table],
+        "greedy return": column(row.greedy_return for row in table),
+    }
+    if any(row.reverted_to is not None for row in table):
+        listed["tuning went on from"] = [
+            NOTHING if row.reverted_to is None else f"pi_{row.reverted_to}" for row in table
+        ]
     note = (
         f"The mean return of the first {run.horizon} steps of every episode that began at least as"
         " many steps before the deployment's end, with its standard error: from the data that the"
@@ -157,7 +179,7 @@ def section(run: RunData) -> str:
     return html.section(
         "What deployments measured",
         chart,
-        html.table([*head, *(["tuning went on from"] * reverts)], body),
+        html.table(list(listed), zip(*listed.values(), strict=True)),
         html.note(note),
     )
 

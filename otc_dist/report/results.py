@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from otc_dist.report import kept
 from otc_dist.report.run_data import Evaluation, RunData
 from otc_dist.report.statistics import Spread, improvement
+from otc_dist.report.verdict import verdict
 
 QUICK_LABEL = "a quick look, not a result"
 
@@ -109,6 +110,7 @@ def results(run: RunData) -> dict[str, object]:
     return {
         "run": run.record.get("run"),
         "label": QUICK_LABEL if run.quick else None,
+        "verdict": asdict(verdict(run)),
         "complete": run.complete,
         "state": run.record.get("state"),
         "missing": run.problems,
@@ -125,6 +127,7 @@ def results(run: RunData) -> dict[str, object]:
         "measured": [asdict(estimate) for estimate in kept.estimates(run)],
         "recommended": kept.recommended(run),
         "stopped": kept.stopped(run),
+        "uniform": asdict(run.uniform) if run.uniform else None,
         "pi_0": run.record.get("origin"),
         "evaluations": [asdict(evaluation) for evaluation in run.evaluations],
         "table": [asdict(row) for row in rows(run)],

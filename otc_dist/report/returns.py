@@ -1,46 +1,49 @@
-"""The table of returns on a run's page."""
+"""The returns on a run's page: their curve over deployments, and their table."""
 
-import math
 from collections.abc import Callable
 
-from otc_dist.report import html
-from otc_dist.report.results import Row, Tuned, rows, tuned
+from otc_dist.report import html, kept
+from otc_dist.report.numbers import column, columns, percent, signed
+from otc_dist.report.results import Row, Tuned, offline_row, rows, tuned
 from otc_dist.report.run_data import RunData
-from otc_dist.report.svg import MINUS, NOTHING, number
+from otc_dist.report.svg import Reference, Series, line_chart
 
-# Heading, an evaluation's cell, and that of the mean over deployments.
-_Column = tuple[str, Callable[[Row], str], Callable[[Tuned], str]]
 
-_COLUMNS: tuple[_Column, ...] = (
-    (
-        "deployment",
-        lambda row: "offline" if row.deployment == 0 else str(row.deployment),
-        lambda after: "mean over deployments",
-    ),
-    ("episodes", lambda row: str(row.returns.count), lambda after: ""),
-    ("mean", lambda row: number(row.returns.mean), lambda after: number(after.mean_return)),
-    ("std", lambda row: number(row.returns.std), lambda after: ""),
-    (
-        "range",
-        lambda row: f"{number(row.returns.minimum)} … {number(row.returns.maximum)}",
-        lambda after: "",
-    ),
-    ("length", lambda row: _plain(row.length), lambda after: ""),
-)
-_WON: _Column = (
-    "won",
-    lambda row: percent(row.success),
-    lambda after: percent(after.mean_success),
-)
-_SCORE: tuple[_Column, ...] = (
-    ("normalised", lambda row: _plain(row.score), lambda after: _plain(after.mean_score)),
-    ("gained", lambda row: signed(row.gain), lambda after: signed(after.gain)),
-)
-_IMPROVEMENT: _Column = (
-    "improvement",
-    lambda row: signed(row.improvement, " %"),
-    lambda after: signed(after.improvement, " %"),
-)
+def learning_curve(run: RunData) -> str:
+    """Greedy returns over deployments, with the lines that they are to be compared with."""
+    table, offline = rows(run), offline_row(run)
+    means = [row.returns.mean for row in table]
+    series = Series(
+        "mean ±1 standard deviation",
+        [float(row.deployment) for row in table],
+        means,
+        [row.returns.mean - row.returns.std for row in table],
+        [row.returns.mean + row.returns.std for row in table],
+    )
+    references = [
+        *([Reference("offline", offline.returns.mean)] if offline else []),
+        *([Reference("mean of the data", run.data_return)] if run.data_return is not None else []),
+        *([Reference("uniform sampling", run.uniform.greedy_return)] if run.uniform else []),
+    ]
+    chart = html.chart(
+        lambda width, height: line_chart(
+            [series],
+            title="Return over deployments",
+            x_label="deployment",
+            y_label="return of greedy episodes",
+            references=references,
+            x_range=(0, run.description.deployment.total),
+            y_range=kept.returns_range(run),
+            width=width,
+            height=height,
+        )
+    )
+    episodes = run.description.evaluation.episodes
+    return chart + html.note(
+        f"Deployment 0 is the policy trained offline. {episodes} greedy episodes each, apart from"
+        " the transitions that the agents learn from. The band is of episodes; one run with one"
+        " seed does not tell how much runs differ."
+    )
 
 
 def returns_table(run: RunData) -> str:
@@ -48,39 +51,46 @@ def returns_table(run: RunData) -> str:
     table, after = rows(run), tuned(run)
     if not table:
         return ""
-    won = any(row.success is not None for row in table)
-    scored = any(row.score is not None for row in table)
-    columns = [*_COLUMNS, *[_WON] * won, *_SCORE * scored, _IMPROVEMENT]
-    body = [[cell(row) for _, cell, _ in columns] for row in table]
-    if after:
-        body.append([mean(after) for *_, mean in columns])
-    notes = [
-        *["Won: share of the episodes."] * won,
-        *[
-            "Normalised: 0 is the random policy, 100 the expert. Gained: normalised score beyond"
-            " the offline one."
-        ]
-        * scored,
-        "Improvement: 100 (R_k - R_0) / |R_0|, which explodes where the offline return is near 0.",
-    ]
-    return html.section(
-        "Returns",
-        html.table([name for name, *_ in columns], body, sums=1 if after else 0),
-        html.note(" ".join(notes)),
+
+    def told(
+        of_row: Callable[[Row], float | None],
+        of_mean: Callable[[Tuned], float | None] | None = None,
+        tell: Callable[[list[float | None]], list[str]] = column,
+    ) -> list[str]:
+        cells = [of_row(row) for row in table]
+        if after is None:
+            return tell(cells)
+        return tell([*cells, of_mean(after)]) if of_mean else [*tell(cells), ""]
+
+    names = ["offline" if row.deployment == 0 else str(row.deployment) for row in table]
+    blank = [] if after is None else [""]
+    means, *others = columns(
+        [*(row.returns.mean for row in table), *([after.mean_return] if after else [])],
+        [row.returns.std for row in table],
+        [row.returns.minimum for row in table],
+        [row.returns.maximum for row in table],
     )
+    returns = [means, *([*cells, *blank] for cells in others)]
+    listed = {
+        "deployment": [*names, *["mean of tuned"] * (after is not None)],
+        "episodes": told(lambda row: row.returns.count),
+        **dict(zip(("mean", "std", "least", "most"), returns, strict=True)),
+        "length": told(lambda row: row.length),
+    }
+    notes = ["Change: 100 (R_k - R_0) / |R_0|, which explodes where the offline return is near 0."]
+    if any(row.score is not None for row in table):
+        listed["normalised"] = told(lambda row: row.score, lambda a: a.mean_score)
+        listed["its change"] = told(lambda row: row.gain, lambda a: a.gain, _each(signed))
+        notes.append("Normalised: 0 is the random policy, 100 the expert.")
+    if any(row.success is not None for row in table):
+        listed["won"] = told(lambda row: row.success, lambda a: a.mean_success, _each(percent))
+        notes.append("Won: share of the episodes.")
+    listed["change"] = told(
+        lambda row: row.improvement, lambda a: a.improvement, _each(lambda x: signed(x, " %"))
+    )
+    shown = html.table(list(listed), zip(*listed.values(), strict=True), sums=len(blank))
+    return html.section("Returns", shown, html.note(" ".join(notes)))
 
 
-def percent(value: float | None) -> str:
-    """`12.5 %`."""
-    return NOTHING if value is None else f"{value:.1f} %"
-
-
-def signed(value: float | None, unit: str = "") -> str:
-    """With its sign: `+1,234.5`."""
-    if value is None or not math.isfinite(value):
-        return NOTHING
-    return f"{value:+,.1f}{unit}".replace("-", MINUS)
-
-
-def _plain(value: float | None) -> str:
-    return NOTHING if value is None else number(value)
+def _each(tell: Callable[[float | None], str]) -> Callable[[list[float | None]], list[str]]:
+    return lambda cells: list(map(tell, cells))

@@ -14,6 +14,8 @@ from otc_dist.description import Description
 from otc_dist.description.distances import TOLD
 from otc_dist.errors import UserError
 from otc_dist.measured import Measured, TooFewError
+from otc_dist.report import uniform
+from otc_dist.report.uniform import Uniform
 from otc_dist.run_folder import RunFolder
 
 T = TypeVar("T")
@@ -70,10 +72,18 @@ class RunData:
     horizon: int  # h, the steps of an episode that they are measured by; 0 without any
     wall_seconds: float | None
     problems: list[str]  # what is missing or damaged, one line each
+    uniform: Uniform | None = None  # the same with uniform sampling, where that was run beside it
 
     @property
     def quick(self) -> bool:
         return self.record.get("quick") is True
+
+    @property
+    def data_return(self) -> float | None:
+        """Mean return of the episodes of B_0; None where its card does not tell."""
+        returns = (self.card or {}).get("returns")
+        mean = returns.get("mean") if isinstance(returns, dict) else None
+        return float(mean) if isinstance(mean, int | float) and math.isfinite(mean) else None
 
     @property
     def complete(self) -> bool:
@@ -138,6 +148,7 @@ def read_run(folder: RunFolder) -> RunData:
         horizon=horizon,
         wall_seconds=_wall_seconds(folder, record or {}),
         problems=problems,
+        uniform=uniform.find(folder, description),
     )
 
 

@@ -1,30 +1,21 @@
 """`report.html` of one run."""
 
-import math
 import shlex
 from collections.abc import Mapping
 from datetime import datetime
 
-from otc_dist.description.distances import FITS, TOLD
 from otc_dist.exploration import Schedule
-from otc_dist.report import html, kept
-from otc_dist.report.results import QUICK_LABEL, offline_row, rows, tuned
-from otc_dist.report.returns import percent, returns_table, signed
+from otc_dist.report import html, kept, learners
+from otc_dist.report.numbers import NOTHING, number, percent, signed
+from otc_dist.report.results import QUICK_LABEL, offline_row, tuned
+from otc_dist.report.returns import learning_curve, returns_table
 from otc_dist.report.run_data import RunData
-from otc_dist.report.svg import NOTHING, Reference, Series, line_chart, number
-
-_WIDE_RANGE = 20.0  # beyond this ratio of the largest to the smallest, a logarithmic axis
-_TITLES = {  # of charts and their axes
-    "alpha": ("Prioritization strength alpha", "alpha"),
-    "similarity": ("Expected similarity 𝔻 (Eq. 4)", "𝔻"),
-    "accepted": ("Share of B_k that is accepted", "accepted"),
-}
-_MOST_POINTS = 300  # of one training curve; more cannot be seen
+from otc_dist.report.verdict import verdict
 
 
 def render(run: RunData) -> str:
     """The page."""
-    d, told = run.description, kept.recommended(run)
+    d, told, found = run.description, kept.recommended(run), verdict(run)
     lead = " · ".join(
         part
         for part in (
@@ -40,13 +31,14 @@ def render(run: RunData) -> str:
         d.name,
         lead,
         [
+            html.verdict(found.tone, found.sentence, found.more),
             *_notices(run),
             _figures(run),
-            html.section("", _learning_curve(run)),
+            html.section("", learning_curve(run)),
             kept.section(run),
-            html.pair(*(html.section("", _told_chart(run, name)) for name in _told(run))),
+            learners.told_charts(run),
             returns_table(run),
-            _learners(run),
+            learners.section(run),
             _dataset(run),
             _provenance(run),
         ],
@@ -91,10 +83,10 @@ def _figures(run: RunData) -> str:
         items += [
             (number(after.last.returns.mean), f"return after deployment {after.last.deployment}"),
             (number(after.mean_return), "return, mean over deployments"),
-            (signed(after.improvement, " %"), "improvement, mean over deployments"),
+            (signed(after.improvement, " %"), "change from offline, mean over deployments"),
         ]
         if after.gain is not None:
-            items.append((signed(after.gain), "normalised score gained, mean over deployments"))
+            items.append((signed(after.gain), "change in normalised score, mean over deployments"))
         if after.mean_success is not None:
             items.append((percent(after.mean_success), "episodes won, mean over deployments"))
     schedule = Schedule.of(run.description, len(run.agents))
@@ -104,112 +96,6 @@ def _figures(run: RunData) -> str:
     if run.wall_seconds is not None:
         items.append((_duration(run.wall_seconds), "wall time"))
     return html.figures(items) if items else ""
-
-
-def _learning_curve(run: RunData) -> str:
-    table, offline = rows(run), offline_row(run)
-    means = [row.returns.mean for row in table]
-    chart = line_chart(
-        [
-            Series(
-                "mean return, ±1 standard deviation of episodes",
-                [float(row.deployment) for row in table],
-                means,
-                [row.returns.mean - row.returns.std for row in table],
-                [row.returns.mean + row.returns.std for row in table],
-            )
-        ],
-        title="Return over deployments",
-        x_label="deployment",
-        y_label="return of greedy episodes",
-        references=[Reference("offline", offline.returns.mean)] if offline else [],
-    )
-    episodes = run.description.evaluation.episodes
-    return chart + html.note(
-        f"Deployment 0 is the policy trained offline. {episodes} greedy episodes each, apart from"
-        " the transitions that the agents learn from. The band is of episodes; one run with one"
-        " seed does not tell how much runs differ."
-    )
-
-
-def _told(run: RunData) -> list[str]:
-    """What the samplers gave before the updates."""
-    found = {name for a in run.agents for tuning in a.tunings.values() for name in tuning.told}
-    return [name for name in TOLD if name in found]
-
-
-def _told_chart(run: RunData, name: str) -> str:
-    title, label = _TITLES[name]
-    series = []
-    for agent in run.agents:
-        ks = [k for k in sorted(agent.tunings) if name in agent.tunings[k].told]
-        values = [agent.tunings[k].told[name] for k in ks]
-        series.append(Series(agent.name, [float(k) for k in ks], values))
-    usable = [y for s in series for y in s.y if math.isfinite(y)]
-    wide = bool(usable) and min(usable) > 0 and max(usable) / min(usable) > _WIDE_RANGE
-    return line_chart(
-        series,
-        title=title,
-        x_label="deployment",
-        y_label=label,
-        logarithmic=wide,
-        width=480,
-        height=300,
-    )
-
-
-def _learners(run: RunData) -> str:
-    if not run.agents:
-        return ""
-    lines, told = [], _told(run)
-    embedded = any(agent.curves.get("embedding") for agent in run.agents)
-    for agent in run.agents:
-        active, newest = agent.last("embedding", "active_dimensions"), max(agent.tunings, default=0)
-        tuning = agent.tunings[newest].told if newest else {}
-        offline = max((max(c) for c in agent.curves.get("offline", {}).values() if c), default=0)
-        lines.append(
-            [
-                agent.name,
-                f"{offline:,}",
-                *[number(active) if active is not None else NOTHING] * embedded,
-                str(newest),
-                *(number(tuning[name]) if name in tuning else NOTHING for name in told),
-            ]
-        )
-    active_column = ["active dimensions"] * embedded
-    labels = [_TITLES[name][1] for name in told]
-    head = ["agent", "offline updates", *active_column, "tuned on", *labels]
-    charts = [
-        html.details(f"Training metrics: {phase}", html.pair(*_metric_charts(run, phase)))
-        for phase in ("offline", *FITS, "tuning")
-        if any(agent.curves.get(phase) for agent in run.agents)
-    ]
-    return html.section("Learners", html.table(head, lines), *charts)
-
-
-def _metric_charts(run: RunData, phase: str) -> list[str]:
-    names = dict.fromkeys(name for agent in run.agents for name in agent.curves.get(phase, {}))
-    charts = []
-    for name in names:
-        if name in TOLD:  # shown above, by deployment
-            continue
-        series = []
-        for agent in run.agents:
-            points = sorted(agent.curves.get(phase, {}).get(name, {}).items())
-            if len(points) > 1:
-                points = _thinned(points)
-                xs, ys = [float(x) for x, _ in points], [y for _, y in points]
-                series.append(Series(agent.name, xs, ys, marks=False))
-        if series:
-            charts.append(
-                line_chart(series, title=name, x_label="update", y_label="", width=480, height=240)
-            )
-    return charts
-
-
-def _thinned(points: list[tuple[int, float]]) -> list[tuple[int, float]]:
-    step = math.ceil(len(points) / _MOST_POINTS)
-    return [*points[:-1:step], points[-1]]
 
 
 def _dataset(run: RunData) -> str:

@@ -5,6 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit
+
+LEVEL = 0.95  # of intervals
 
 
 @dataclass(frozen=True)
@@ -39,3 +42,16 @@ def improvement(value: float, before: float) -> float | None:
     if before == 0 or not math.isfinite(value) or not math.isfinite(before):
         return None
     return 100.0 * (value - before) / abs(before)
+
+
+def student_interval(values: Sequence[float]) -> tuple[float, float]:
+    """95% interval of the mean by Student's t, which few values make as wide as they must; NaN for
+    one.
+    """
+    count = len(values)
+    if count < 2:
+        return math.nan, math.nan
+    array = np.asarray(values, np.float64)
+    quantile = float(stdtrit(count - 1, (1 + LEVEL) / 2))
+    half = quantile * float(array.std(ddof=1)) / math.sqrt(count)
+    return float(array.mean()) - half, float(array.mean()) + half

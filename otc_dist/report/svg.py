@@ -9,37 +9,65 @@ from dataclasses import dataclass
 from html import escape
 from typing import Literal
 
-STYLE = """
-.chart { display: block; width: 100%; min-width: 400px; height: auto;
-  font: 12px system-ui, sans-serif; }
-.chart text { fill: var(--muted); }
-.chart .title { fill: var(--text); font-weight: 600; font-size: 13px; }
-.chart .grid { stroke: var(--line); stroke-width: 1; }
-.chart .reference { stroke: var(--muted); stroke-width: 1.5; stroke-dasharray: 6 4; }
-.chart .curve { fill: none; stroke: var(--c); stroke-width: 2; stroke-linejoin: round; }
-.chart .faint { stroke-opacity: .4; }
-.chart .band { fill: var(--c); opacity: .15; }
-.chart .bar { stroke: var(--c); stroke-width: 1.5; fill: none; }
-.chart .mark { fill: var(--c); stroke: var(--card); stroke-width: 1; }
-.chart .s0 { --c: #2563c9; } .chart .s1 { --c: #c8501e; } .chart .s2 { --c: #17826a; }
-.chart .s3 { --c: #9a3fa0; } .chart .s4 { --c: #9a7200; } .chart .s5 { --c: #55606e; }
-@media (prefers-color-scheme: dark) {
-.chart .s0 { --c: #74a7ff; } .chart .s1 { --c: #ff9466; } .chart .s2 { --c: #4fd0ae; }
-.chart .s3 { --c: #dd92e3; } .chart .s4 { --c: #e3bd4a; } .chart .s5 { --c: #aab4c0; }
-}
+from otc_dist.report.axes import Axis, Range
+from otc_dist.report.numbers import number
+
+# Of light and of dark pages, in order; the first six are those of agents wherever they are shown.
+_PALETTE = (
+    ("#2563c9", "#74a7ff"),
+    ("#c8501e", "#ff9466"),
+    ("#17826a", "#4fd0ae"),
+    ("#9a3fa0", "#dd92e3"),
+    ("#9a7200", "#e3bd4a"),
+    ("#188ab2", "#5cc6e8"),
+    ("#b8336a", "#ff8fb8"),
+    ("#5f7d1e", "#b0d462"),
+    ("#6b55d0", "#b0a2ff"),
+    ("#8a5a44", "#d6a68f"),
+)
+COLOURS = len(_PALETTE)
+GREY = -1  # of a series with which others are compared
+_GREYS = ("#55606e", "#aab4c0")
+
+
+def _colours(scheme: int) -> str:
+    """Style rules of all colours: .s0, .s1 and so on, and .grey."""
+    named = [(f"s{i}", pair[scheme]) for i, pair in enumerate(_PALETTE)]
+    return " ".join(f".{name} {{ --c: {c}; }}" for name, c in [*named, ("grey", _GREYS[scheme])])
+
+
+def colour_class(colour: int) -> str:
+    """The class of a page's elements whose --c is a series' colour; they repeat after COLOURS."""
+    return "grey" if colour == GREY else f"s{colour % COLOURS}"
+
+
+STYLE = f"""
+.chart {{ display: block; width: 100%; height: auto; font: 12px system-ui, sans-serif; }}
+.chart text {{ fill: var(--muted); }}
+.chart .title {{ fill: var(--text); font-weight: 600; font-size: 13px; }}
+.chart .grid {{ stroke: var(--line); stroke-width: 1; }}
+.chart .reference {{ stroke: var(--muted); stroke-width: 1.5; }}
+.chart .curve {{ fill: none; stroke: var(--c); stroke-width: 2; stroke-linejoin: round; }}
+.chart .faint {{ stroke-opacity: .4; }} .chart .thin {{ stroke-width: 1.2; }}
+.chart .band {{ fill: var(--c); opacity: .18; }}
+.chart .bar {{ stroke: var(--c); stroke-width: 1.5; fill: none; }}
+.chart .wide-bar {{ stroke: var(--c); stroke-width: 5; opacity: .35; }}
+.chart .mark {{ fill: var(--c); stroke: var(--card); stroke-width: 1; }}
+{_colours(0)}
+@media (prefers-color-scheme: dark) {{ {_colours(1)} }}
 """
-_COLOURS = 6
+_DASHES = ("6 4", "2 3", "12 4", "8 3 2 3")  # of references
 
-NOTHING = "\N{EN DASH}"  # stands where there is no value
-MINUS = "\N{MINUS SIGN}"
-
-_LETTER = 6.6  # width of an average character in px, to lay out what we cannot measure
+LETTER = 6.6  # width of an average character in px, to lay out what we cannot measure
 _LEFT, _RIGHT, _BOTTOM, _LINE = 64.0, 18.0, 42.0, 18.0
 
 
 @dataclass(frozen=True)
 class Series:
-    """One curve: y over x, NaN where there is no value; with `low` and `high` its spread."""
+    """One curve: y over x, NaN where there is no value; with `low` and `high` its spread.
+
+    Its colour is that of its place in the chart, unless it is said: a number, or GREY.
+    """
 
     label: str
     x: Sequence[float]
@@ -48,6 +76,8 @@ class Series:
     high: Sequence[float] | None = None
     spread: Literal["band", "bars"] = "band"
     marks: bool = True
+    colour: int | None = None
+    dashed: bool = False
 
 
 @dataclass(frozen=True)
@@ -66,14 +96,21 @@ def line_chart(
     y_label: str,
     references: Sequence[Reference] = (),
     logarithmic: bool = False,
+    x_range: Range | None = None,
+    y_range: Range | None = None,
+    legend: bool = True,
     width: float = 960.0,
     height: float = 380.0,
 ) -> str:
     """An `<svg>` of the curves with axes, legend and tooltips.
 
     Values that are not finite leave gaps, and so do values <= 0 on a logarithmic axis. A chart
-    without any value says so. Colours repeat after six curves, the marks' shapes after four, so
-    that twelve curves can be told apart.
+    without any value says so. Colours repeat after ten curves, the marks' shapes after four, so
+    that twenty curves can be told apart.
+
+    Args:
+        x_range, y_range: what the axes must hold besides the values: charts that are to be
+            compared have the same.
     """
 
     def usable(value: float) -> bool:
@@ -82,21 +119,22 @@ def line_chart(
     xs = [x for s in series for x in s.x if math.isfinite(x)]
     ys = [y for s in series for part in (s.y, s.low, s.high) for y in part or () if usable(y)]
     ys += [reference.y for reference in references if usable(reference.y)]
-    legend, rows = _legend(series, references, width)
+    listed, rows = _legend(series, references, width) if legend else ("", 0)
     top = 26.0 + rows * _LINE
     head = (
         f'<svg class="chart" viewBox="0 0 {width:g} {height:g}" role="img"'
         f' aria-label="{escape(title)}"><title>{escape(title)}</title>'
-        f'<text class="title" x="{_LEFT:g}" y="14">{escape(title)}</text>'
+        f'<text class="title" x="{_edge(width):g}" y="14">{escape(title)}</text>'
     )
     if not xs or not ys:
         middle = f'x="{width / 2:g}" y="{height / 2:g}" text-anchor="middle"'
         return f"{head}<text {middle}>no data yet</text></svg>"
 
-    x_axis = _Axis.linear(min(xs), max(xs), _LEFT + 12, width - _RIGHT - 8, whole=True, fit=True)
-    make = _Axis.logarithmic if logarithmic else _Axis.linear
+    xs, ys = [*xs, *(x_range or ())], [*ys, *filter(usable, y_range or ())]
+    x_axis = Axis.linear(min(xs), max(xs), _LEFT + 12, width - _RIGHT - 8, whole=True, fit=True)
+    make = Axis.logarithmic if logarithmic else Axis.linear
     y_axis = make(min(ys), max(ys), height - _BOTTOM, top)
-    parts = [head, legend]
+    parts = [head, listed]
     for value, text in y_axis.ticks:
         y = y_axis.at(value)
         parts.append(
@@ -115,11 +153,12 @@ def line_chart(
         f'<text transform="translate(13 {centre:g}) rotate(-90)" text-anchor="middle">'
         f"{escape(y_label)}</text>"
     )
-    for reference in references:
+    for i, reference in enumerate(references):
         if usable(reference.y):
             y = y_axis.at(reference.y)
             parts.append(
-                f'<line class="reference" x1="{_LEFT:g}" x2="{width - _RIGHT:g}" y1="{y:.1f}"'
+                f'<line class="reference" stroke-dasharray="{_DASHES[i % len(_DASHES)]}"'
+                f' x1="{_LEFT:g}" x2="{width - _RIGHT:g}" y1="{y:.1f}"'
                 f' y2="{y:.1f}"><title>{escape(reference.label)}: {number(reference.y)}</title>'
                 "</line>"
             )
@@ -128,26 +167,14 @@ def line_chart(
     return "".join(parts) + "</svg>"
 
 
-def number(value: float) -> str:
-    """For reading: four significant digits or a whole number, thousands separated."""
-    if not math.isfinite(value):
-        return NOTHING
-    if value == round(value) and abs(value) < 1e9:
-        return f"{value:,.0f}".replace("-", MINUS)
-    digits = max(0, 3 - math.floor(math.log10(abs(value))))
-    if digits > 6:
-        return f"{value:.2e}"
-    return f"{value:,.{min(digits, 4)}f}".replace("-", MINUS)
-
-
 class _Plot:
     """One series on its axes."""
 
     def __init__(
-        self, series: Series, index: int, x: "_Axis", y: "_Axis", usable: Callable[[float], bool]
+        self, series: Series, index: int, x: Axis, y: Axis, usable: Callable[[float], bool]
     ) -> None:
         self.series, self.index, self.x, self.y, self.usable = series, index, x, y, usable
-        self.colour = f"s{index % _COLOURS}"
+        self.colour = colour_class(_colour(series, index))
 
     def spread(self) -> str:
         s = self.series
@@ -172,7 +199,7 @@ class _Plot:
         kind = "curve faint" if s.low is not None and s.spread == "bars" else "curve"
         for run in self._runs(s.y, s.y):
             path = "L".join(f"{x:.1f} {y:.1f}" for x, y, _ in run)
-            out.append(f'<path class="{kind}" d="M{path}"/>')
+            out.append(f'<path class="{kind}"{_dashed(s)} d="M{path}"/>')
         if s.marks:
             for i, (x, y) in enumerate(zip(s.x, s.y, strict=True)):
                 if math.isfinite(x) and self.usable(y):
@@ -198,6 +225,19 @@ class _Plot:
             yield run
 
 
+def _edge(width: float) -> float:
+    """Where title and legend begin: above the plot, or where there is little room further left."""
+    return _LEFT if width > 600 else 8.0
+
+
+def _colour(series: Series, index: int) -> int:
+    return index if series.colour is None else series.colour
+
+
+def _dashed(series: Series) -> str:
+    return ' stroke-dasharray="5 4"' if series.dashed else ""
+
+
 def _mark(index: int, x: float, y: float) -> str:
     """An open `<path>`: circle, square, triangle, diamond."""
     shape = (
@@ -213,83 +253,24 @@ def _legend(
     series: Sequence[Series], references: Sequence[Reference], width: float
 ) -> tuple[str, int]:
     """The legend's elements and its number of rows."""
-    items = [(s.label, i) for i, s in enumerate(series)] + [(r.label, -1) for r in references]
-    out, x, row = [], _LEFT, 1
+    items = [(s.label, i) for i, s in enumerate(series)]
+    items += [(r.label, -1 - i) for i, r in enumerate(references)]
+    edge = _edge(width)
+    out, x, row = [], edge, 1
     for label, index in items:
-        space = 46 + _LETTER * len(label)
-        if x > _LEFT and x + space > width - _RIGHT:
-            x, row = _LEFT, row + 1
+        space = 46 + LETTER * len(label)
+        if x > edge and x + space > width - _RIGHT:
+            x, row = edge, row + 1
         y = 14 + row * _LINE
-        kind = "reference" if index < 0 else "curve"
-        line = f'<path class="{kind}" d="M{x:g} {y - 4:g}h26"/>'
+        if index < 0:
+            dash = _DASHES[(-1 - index) % len(_DASHES)]
+            colour, style = "", f'class="reference" stroke-dasharray="{dash}"'
+        else:
+            colour = f' class="{colour_class(_colour(series[index], index))}"'
+            style = f'class="curve"{_dashed(series[index])}'
+        line = f'<path {style} d="M{x:g} {y - 4:g}h26"/>'
         if index >= 0 and series[index].marks:
             line += _mark(index, x + 13, y - 4) + "</path>"
-        out.append(
-            f'<g class="s{index % _COLOURS}">{line}<text x="{x + 32:g}" y="{y:g}">'
-            f"{escape(label)}</text></g>"
-        )
+        out.append(f'<g{colour}>{line}<text x="{x + 32:g}" y="{y:g}">{escape(label)}</text></g>')
         x += space
     return "".join(out), row if items else 0
-
-
-@dataclass(frozen=True)
-class _Axis:
-    """From values to px, with ticks (value, text)."""
-
-    low: float
-    high: float
-    start: float
-    stop: float
-    ticks: list[tuple[float, str]]
-    log: bool = False
-
-    def at(self, value: float) -> float:
-        if self.log:
-            value = math.log10(value)
-        share = (value - self.low) / (self.high - self.low)
-        return self.start + share * (self.stop - self.start)
-
-    @classmethod
-    def linear(
-        cls,
-        low: float,
-        high: float,
-        start: float,
-        stop: float,
-        *,
-        whole: bool = False,
-        fit: bool = False,
-    ) -> "_Axis":
-        """`whole`: no ticks between integers; `fit`: end at the data, not at a tick."""
-        least, most = low, high
-        if high <= low:
-            reach = abs(low) * 0.1 or 1.0
-            low, high = low - reach, high + reach
-        room = max(2.0, abs(stop - start) / 60)
-        step = _nice((high - low) / room)
-        if whole:
-            step = max(step, 1.0)
-        first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
-        decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-        values = [i * step for i in range(first, last + 1)]
-        if fit:
-            values = [v for v in values if least - 1e-9 * step <= v <= most + 1e-9 * step]
-        else:
-            low, high = first * step, last * step
-        texts = [f"{value:,.{decimals}f}".replace("-", MINUS) for value in values]
-        return cls(low, high, start, stop, list(zip(values, texts, strict=True)))
-
-    @classmethod
-    def logarithmic(cls, low: float, high: float, start: float, stop: float) -> "_Axis":
-        bottom, top = math.log10(low) - 0.02, math.log10(high) + 0.02
-        decades = range(math.floor(bottom), math.ceil(top) + 1)
-        within = (1, 2, 5) if top - bottom < 2.5 else (1,)
-        values = [m * 10.0**d for d in decades for m in within]
-        values = [v for v in values if bottom <= math.log10(v) <= top]
-        return cls(bottom, top, start, stop, [(v, f"{v:,.10g}") for v in values], log=True)
-
-
-def _nice(step: float) -> float:
-    """The smallest of 1, 2, 5 times a power of ten that is not below `step`."""
-    power = 10.0 ** math.floor(math.log10(step))
-    return next(m * power for m in (1, 2, 5, 10) if m * power >= step * (1 - 1e-9))

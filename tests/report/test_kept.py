@@ -18,7 +18,7 @@ def test_every_deployment_is_told_with_its_error_beside_the_greedy_return(made) 
     assert {(row["episodes"], row["horizon"]) for row in results["measured"]} == {(2, 8)}
     assert "What deployments measured" in page.text
     assert ("class", "bar s0") in page.attributes  # error bars
-    assert "6 ± 2" in page.text and "2 (recommended)" in page.text
+    assert "± error" in page.text and "2 (recommended)" in page.text
 
 
 def test_the_best_deployed_policy_is_recommended_in_every_place(made) -> None:

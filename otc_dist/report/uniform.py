@@ -1,0 +1,63 @@
+"""What uniform sampling made of the same offline policies, where a run beside this one tells."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import BaseModel, FiniteFloat, ValidationError
+
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+from otc_dist.run_folder import RunFolder
+
+NAME = "uniform"  # of the sampling with which others are compared
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """The reference: its run's folder, and the greedy return of the policy that it recommends."""
+
+    folder: str
+    policy: int  # k of pi_k
+    greedy_return: float
+
+
+class _Recommended(BaseModel):
+    policy: int
+    greedy_return: FiniteFloat | None
+
+
+class _Results(BaseModel):
+    """What is needed of a results.json."""
+
+    complete: bool
+    recommended: _Recommended | None
+
+
+def find(folder: RunFolder, description: Description) -> Uniform | None:
+    """Of the folders beside `folder` the first complete run of the same description and seed but
+    with uniform sampling. What cannot be read there is passed over: it is not this run's.
+    """
+    if description.sampling.name == NAME:
+        return None
+    try:
+        wanted = description.with_assignments(f"sampling.name={NAME}").tuning_digest()
+        beside = sorted(path for path in folder.root.resolve().parent.iterdir() if path.is_dir())
+    except (OSError, UserError):
+        return None
+    found = (_read(RunFolder(root), wanted) for root in beside if root != folder.root.resolve())
+    return next((one for one in found if one is not None), None)
+
+
+def _read(other: RunFolder, wanted: str) -> Uniform | None:
+    try:
+        if not other.results.is_file():
+            return None
+        if Description.load(other.description).tuning_digest() != wanted:
+            return None
+        results = _Results.model_validate_json(other.results.read_bytes())
+    except (OSError, UserError, ValidationError):
+        return None
+    told = results.recommended
+    if not results.complete or told is None or told.greedy_return is None:
+        return None
+    return Uniform(Path(other.root).name, told.policy, told.greedy_return)
