@@ -170,8 +170,9 @@ class EnvHost:
         """The log to write, and its last step; `rollout` has caught up with it."""
         if partial_path(path).exists():
             writer, steps = LogWriter.resume(path)
-            log.info("deployment %d goes on after %d logged steps", k, steps)
             try:
+                self._check_begun(writer.header, k, partial_path(path))
+                log.info("deployment %d goes on after %d logged steps", k, steps)
                 return writer, resimulate(rollout, path, steps)
             except BaseException:
                 writer.close()
@@ -188,6 +189,19 @@ class EnvHost:
             versions=versions() | dict(rollout.simulator),
         )
         return LogWriter.create(path, header), None
+
+    def _check_begun(self, header: LogHeader, k: int, path: Path) -> None:
+        """See that an unfinished log is of this run's deployment k."""
+        if (header.run, header.deployment) != (self._run.keys.run, k):
+            raise FailureError(
+                f"{path} is of run {header.run}, deployment {header.deployment}, not of"
+                f" {self._run.keys.run}, deployment {k}: put the right one there, or none"
+            )
+        if not header.bound:
+            log.warning(
+                "an older otc_dist began %s: its steps stay unbound to this run (--accept-unbound)",
+                path.name,
+            )
 
     def _ask(
         self,

@@ -16,7 +16,7 @@ from otc_dist.deployment_log.episodes import find_episodes, to_json
 from otc_dist.deployment_log.format import DamagedLogError, seal
 from otc_dist.deployment_log.foxglove import FoxgloveChannels
 from otc_dist.deployment_log.header import LogHeader
-from otc_dist.deployment_log.record import CHANNEL_ID, PAYLOAD_START, RecordLayout, Rows
+from otc_dist.deployment_log.record import CHANNEL_ID, PAYLOAD_START, Rows
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ def write_finished(
     Raises:
         OSError: the disk is full, ...: nothing is left behind.
     """
-    temporary = path.with_name(path.name + ".new")
+    temporary, binding = path.with_name(path.name + ".new"), header.binding
     try:
         with temporary.open("wb") as stream:
             writer = Writer(
@@ -53,10 +53,10 @@ def write_finished(
             written = _write(writer, blocks(), ranges)
             episodes = find_episodes(written, len(header.team.agents))
             _add_pictures(writer, header, blocks(), path)
-            writer.add_metadata(fmt.POLICIES, seal(policies))
-            writer.add_metadata(fmt.EPISODES, seal({"episodes": to_json(episodes)}))
+            writer.add_metadata(fmt.POLICIES, seal(policies, binding))
+            writer.add_metadata(fmt.EPISODES, seal({"episodes": to_json(episodes)}, binding))
             if len(ranges) > 1 or (ranges and ranges[0][0] > 0):
-                writer.add_metadata(fmt.RANGES, seal({"ranges": json.dumps(ranges)}))
+                writer.add_metadata(fmt.RANGES, seal({"ranges": json.dumps(ranges)}, binding))
             writer.finish()  # type: ignore[no-untyped-call]
             stream.flush()
             os.fsync(stream.fileno())
@@ -106,7 +106,7 @@ def _add_pictures(writer: Writer, header: LogHeader, blocks: Iterable[Rows], pat
 def begin(writer: Writer, header: LogHeader) -> None:
     """What stands before the steps, in the unfinished and in the finished log."""
     entries = seal(header.to_entries())
-    layout = RecordLayout(header.team, header.copies)
+    layout = header.layout()
     writer.start(fmt.PROFILE, f"otc_dist {otc_dist.__version__}, mcap-python {mcap.__version__}")
     writer.add_metadata(fmt.HEADER, entries)
     schema = writer.register_schema(fmt.SCHEMA, "jsonschema", layout.schema())

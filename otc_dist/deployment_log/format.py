@@ -2,6 +2,11 @@
 
 A log is an MCAP file (https://mcap.dev/spec). Whatever lies in it is covered by a checksum:
 steps by one inside each record, metadata by one inside each map, chunks and the summary by MCAP.
+
+From version 2 on the checksums of steps and tables begin with the header's `binding`, so that they
+hold in no other log: what a power cut or a mistake put there from elsewhere is no step of this one.
+In version 1 they begin with nothing, as MCAP's do. Who can write a log can write any checksum:
+they tell damage and mix-ups, not forgeries.
 """
 
 import zlib
@@ -10,8 +15,9 @@ from pathlib import Path
 
 from otc_dist.errors import UserError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 MINIMUM_FORMAT_VERSION = 1  # the oldest version that this code still reads
+FIRST_BOUND_VERSION = 2
 
 PROFILE = "x-otc-dist"
 TOPIC = "joint_step"
@@ -38,19 +44,22 @@ def partial_path(path: Path) -> Path:
     return path.with_name(path.name + PARTIAL_SUFFIX)
 
 
-def seal(entries: Mapping[str, str]) -> dict[str, str]:
-    """`entries` with their checksum under the key "crc32"."""
-    return {**entries, "crc32": _checksum(entries)}
+def seal(entries: Mapping[str, str], binding: int = 0) -> dict[str, str]:
+    """`entries` with their checksum under the key "crc32"; `binding` is that of the header.
+
+    The header itself has none: it says what the others are bound to.
+    """
+    return {**entries, "crc32": _checksum(entries, binding)}
 
 
-def unseal(entries: Mapping[str, str]) -> dict[str, str] | None:
-    """What was sealed, or None if a byte of it has changed."""
+def unseal(entries: Mapping[str, str], binding: int = 0) -> dict[str, str] | None:
+    """What was sealed with the same `binding`, or None if a byte of it has changed."""
     opened = dict(entries)
     checksum = opened.pop("crc32", None)
-    return opened if checksum == _checksum(opened) else None
+    return opened if checksum == _checksum(opened, binding) else None
 
 
-def _checksum(entries: Mapping[str, str]) -> str:
+def _checksum(entries: Mapping[str, str], binding: int) -> str:
     # Two NULs end every string: neither keys nor values can move from one to the other unseen.
     text = "".join(f"{key}\0\0{entries[key]}\0\0" for key in sorted(entries))
-    return f"{zlib.crc32(text.encode()):08x}"
+    return f"{zlib.crc32(text.encode(), binding):08x}"

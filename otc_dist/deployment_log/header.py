@@ -1,5 +1,6 @@
 """What a deployment log says about itself: where the steps come from and how to read them."""
 
+import hashlib
 import json
 import platform
 from collections.abc import Mapping
@@ -11,7 +12,11 @@ from typing import Annotated
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, ValidationError
 
 import otc_dist
-from otc_dist.deployment_log.format import FORMAT_VERSION, MINIMUM_FORMAT_VERSION
+from otc_dist.deployment_log.format import (
+    FIRST_BOUND_VERSION,
+    FORMAT_VERSION,
+    MINIMUM_FORMAT_VERSION,
+)
 from otc_dist.deployment_log.record import RecordLayout
 from otc_dist.errors import UserError
 from otc_dist.names import Name
@@ -53,8 +58,30 @@ class LogHeader:
     versions: Mapping[str, str] = field(default_factory=versions)
     format_version: int = FORMAT_VERSION
 
+    @property
+    def bound(self) -> bool:
+        """Whether the checksums of its steps and tables hold in this log alone."""
+        return self.format_version >= FIRST_BOUND_VERSION
+
+    @property
+    def binding(self) -> int:
+        """What those checksums begin with: a digest of run, deployment, seed and description.
+
+        0 in the older form, whose checksums hold in any log.
+        """
+        if not self.bound:
+            return 0
+        parts = (self.run, str(self.deployment), str(self.seed), self.description)
+        text = "\0".join((*parts, self.description_digest))
+        return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=4).digest())
+
+    def layout(self) -> RecordLayout:
+        """The record of a step. Raises UserError if it is larger than a record may be."""
+        return RecordLayout(self.team, self.copies, self.binding)
+
     def to_entries(self) -> dict[str, str]:
         """The header as strings; numbers and structures in JSON."""
+        bound = {"binding": str(self.binding)} if self.bound else {}
         return {
             "format_version": str(self.format_version),
             "run": self.run,
@@ -65,6 +92,7 @@ class LogHeader:
             "versions": json.dumps(dict(self.versions)),
             "description": self.description,
             "description_digest": self.description_digest,
+            **bound,
         }
 
     @classmethod
@@ -92,11 +120,12 @@ class LogHeader:
             fields = _Entries.model_validate(entries)
         except ValidationError as error:
             raise UserError(f"{path}: its header is not valid: {why(error)}") from None
+        header = cls(**{name: getattr(fields, name) for name in _Entries.model_fields})
         try:
-            RecordLayout(fields.team, fields.copies)
+            header.layout()
         except UserError as error:
             raise UserError(f"{path}: its header is not valid: {error}") from None
-        return cls(**{name: getattr(fields, name) for name in _Entries.model_fields})
+        return header
 
 
 class _Entries(BaseModel):

@@ -22,7 +22,7 @@ from otc_dist import records
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.format import DamagedLogError, partial_path, unseal
 from otc_dist.deployment_log.header import LogHeader
-from otc_dist.deployment_log.record import CHANNEL_ID, RecordLayout, Rows
+from otc_dist.deployment_log.record import CHANNEL_ID, Rows
 from otc_dist.errors import UserError
 
 # What parsing bytes that were changed may raise, in the mcap library and below it.
@@ -81,7 +81,7 @@ class OpenLog:
             raise UserError(f"{self.path} is not an MCAP file")
         self._file.seek(0)
         self.header = self._find_header()
-        self.layout = RecordLayout(self.header.team, self.header.copies)
+        self.layout = self.header.layout()
         self._summary: Summary | None = self._read_summary() if self.finished else None
         # Which steps there are: start..stop-1 of each pair, more than one where some are missing.
         self.ranges = self._find_ranges()
@@ -146,7 +146,7 @@ class OpenLog:
         if self._summary is not None:
             for index in self._summary.metadata_indexes:
                 if index.name == name:
-                    entries = unseal(self._metadata_at(index.offset))
+                    entries = unseal(self._metadata_at(index.offset), self.header.binding)
                     if entries is not None:
                         return entries
         raise DamagedLogError(self.path, f"its record {name!r} is not readable")

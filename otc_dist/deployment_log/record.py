@@ -5,7 +5,8 @@ length. Writing one is copying arrays into a template; reading many is a view of
 structured rows; and finding the next record after damage is a search for the same few bytes.
 
 The payload is the map of `schema()`. Its last field is the CRC-32 of all the bytes before that
-field's 5 bytes (0xce and the checksum, big-endian), so a torn or flipped record never passes.
+field's 5 bytes (0xce and the checksum, big-endian), begun with the log's binding: neither a torn or
+flipped record nor one of another log passes.
 """
 
 import json
@@ -44,12 +45,15 @@ Rows = NDArray[np.void]  # structured; one row a step, fields as in `RecordLayou
 class RecordLayout:
     """The record of a team of N agents in E copies.
 
+    Args:
+        binding: what the checksums begin with; see `LogHeader.binding`.
+
     Raises:
         UserError: one step of so many copies does not fit into a record.
     """
 
-    def __init__(self, team: TeamSpec, copies: int) -> None:
-        self.team, self.copies = team, copies
+    def __init__(self, team: TeamSpec, copies: int, binding: int) -> None:
+        self.team, self.copies, self.binding = team, copies, binding
         self._shapes: dict[str, list[tuple[int, ...]]] = {
             "observations": [(copies, agent.observation_size) for agent in team.agents],
             "actions": [(copies, agent.action_size) for agent in team.agents],
@@ -160,7 +164,8 @@ class RecordLayout:
             ),
             "crc32": {
                 "type": "integer",
-                "description": "of the payload without its last 5 bytes, which are this field",
+                "description": "of the payload without its last 5 bytes, which are this field;"
+                " computed on from the header's `binding` where it has one",
             },
         }
         return json.dumps(
@@ -187,7 +192,7 @@ class RecordLayout:
                 record[:_PREFIX_SIZE] != prefix
                 or record[end] != _UINT32[0]
                 or _CHECKSUM.unpack_from(record, end + 1)[0]
-                != zlib.crc32(record[PAYLOAD_START:end])
+                != zlib.crc32(record[PAYLOAD_START:end], self.binding)
                 or _TIMES.unpack_from(record, _PREFIX_SIZE)[0] != step
                 or _CHECKSUM.unpack_from(record, step_at)[0] != step
             ):
@@ -262,6 +267,7 @@ class StepEncoder:
 
     def __init__(self, layout: RecordLayout) -> None:
         self._prefix, self._agents = layout.prefix, len(layout.team.agents)
+        self._binding = layout.binding
         fields = layout.dtype.fields
         assert fields is not None  # it is a structured type
         names = [name for name in fields if name not in ("log_time", "publish_time", "crc32")]
@@ -311,4 +317,5 @@ class StepEncoder:
         parts[exploring + 2 :: 2] = data[-2:]
         body = b"".join(parts)
         times = _TIMES.pack(step.step, log_time, log_time)
-        return b"".join((self._prefix, times, body, _UINT32, _CHECKSUM.pack(zlib.crc32(body))))
+        checksum = _CHECKSUM.pack(zlib.crc32(body, self._binding))
+        return b"".join((self._prefix, times, body, _UINT32, checksum))

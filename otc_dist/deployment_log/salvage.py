@@ -18,7 +18,7 @@ from mcap.writer import MCAP0_MAGIC
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.format import unseal
 from otc_dist.deployment_log.header import LogHeader
-from otc_dist.deployment_log.record import RecordLayout, Rows
+from otc_dist.deployment_log.record import Rows
 from otc_dist.errors import UserError
 
 _FRAME_MAGIC = bytes.fromhex("28b52ffd")  # RFC 8878
@@ -50,7 +50,7 @@ class Salvage:
         self.path, self.size = path, len(self._data)
         self.searched = 0  # bytes, while `blocks` is under way
         self.header = self._find_header()
-        self.layout = RecordLayout(self.header.team, self.header.copies)
+        self.layout = self.header.layout()
 
     def __enter__(self) -> Self:
         return self
@@ -84,7 +84,7 @@ class Salvage:
 
     def policies(self) -> dict[str, str]:
         """Agent -> digest of the policy that acted; empty if that is not readable."""
-        return next(_maps_behind(_string(fmt.POLICIES), self._data), {})
+        return next(_maps_behind(_string(fmt.POLICIES), self._data, self.header.binding), {})
 
     def blocks(self) -> Iterator[Rows]:
         """All steps that are whole, in order; where some are missing, a block's steps skip them."""
@@ -160,11 +160,11 @@ def _string(text: str) -> bytes:
     return _UINT32.pack(len(text)) + text.encode()
 
 
-def _maps_behind(marker: bytes, data: _Bytes) -> Iterator[dict[str, str]]:
+def _maps_behind(marker: bytes, data: _Bytes, binding: int = 0) -> Iterator[dict[str, str]]:
     """The maps of strings behind `marker` whose checksum holds."""
     at = data.find(marker)
     while at >= 0:
-        opened = unseal(_map_at(data, at + len(marker)))
+        opened = unseal(_map_at(data, at + len(marker)), binding)
         if opened is not None:
             yield opened
         at = data.find(marker, at + 1)

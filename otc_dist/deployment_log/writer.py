@@ -15,7 +15,7 @@ from otc_dist.deployment_log.finishing import begin, write_finished
 from otc_dist.deployment_log.format import DamagedLogError, partial_path
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
-from otc_dist.deployment_log.record import RecordLayout, StepEncoder
+from otc_dist.deployment_log.record import StepEncoder
 from otc_dist.errors import UserError
 from otc_dist.transitions import JointStep
 
@@ -35,7 +35,7 @@ class LogWriter:
     def __init__(self, path: Path, header: LogHeader, file: int, steps: int, last: int) -> None:
         self.path, self.header = path, header
         self.steps = steps  # the next step's number
-        self._layout = RecordLayout(header.team, header.copies)
+        self._layout = header.layout()
         self._encoder = StepEncoder(self._layout)
         self._file = file
         self._size = os.lseek(file, 0, os.SEEK_END)

@@ -30,7 +30,8 @@ examples:
 
 exit status: 0 all is well; 1 --verify found something wrong, --recover something missing, or a
 learner that --publish asked acts otherwise than the log; 2 a mistake to mend; 3 --verify in another
-version of the simulator, where bits may differ.
+version of the simulator, where bits may differ; 4 --verify of a log of the older form, which does
+not say of its steps whose they are.
 """
 
 
@@ -117,6 +118,13 @@ def _parser() -> argparse.ArgumentParser:
     part.add_argument("--episode", type=int, metavar="N", help="one episode, counted from 0")
     part.add_argument(
         "--agent", action="append", metavar="NAME", help="one agent; may be given again"
+    )
+
+    check = parser.add_argument_group("how strictly it is verified")
+    check.add_argument(
+        "--accept-unbound",
+        action="store_true",
+        help="take a log of the older form, whose steps name no run: you know where it is from",
     )
 
     bus = parser.add_argument_group("how logs are published")

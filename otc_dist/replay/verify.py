@@ -9,8 +9,10 @@ import numpy as np
 from otc_dist.deployment_log.container import check_container
 from otc_dist.deployment_log.episodes import find_episodes
 from otc_dist.deployment_log.format import DamagedLogError
+from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import LogSummary, summarise
+from otc_dist.deployment_log.seeds import SeedCheck
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.exploration import Schedule
@@ -21,23 +23,24 @@ from otc_dist.replay.selection import Selection, select
 from otc_dist.replay.summary import gaps
 from otc_dist.transitions import JointStep
 
-FAILED, APPROXIMATE = 1, 3  # exit statuses; 0: everything that could be checked holds to the bit
+# Exit statuses, the worst first; 0: everything that could be checked holds to the bit.
+FAILED, UNBOUND, APPROXIMATE = 1, 4, 3
 _SHOWN = 5  # differences
-_SIGNS = {0: "ok", FAILED: "WRONG", APPROXIMATE: "close", None: "-"}
+_SIGNS = {0: "ok", FAILED: "WRONG", UNBOUND: "unbound", APPROXIMATE: "close", None: "-"}
 
 Finding = tuple[int | None, str]  # a status and a sentence; None: there was nothing to check
 Steps = Callable[[], Iterator[JointStep]]
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Check each file and print what was found; the worst status, FAILED before APPROXIMATE."""
-    statuses = set()
+    """Check each file and print what was found; the worst status."""
+    statuses: set[int | None] = {0}
     for path in arguments.files:
         print(path, flush=True)
         for status, text in _findings(arguments, path):
-            print(f"  {_SIGNS[status]:<6}{text}", flush=True)
+            print(f"  {_SIGNS[status]:<5} {text}", flush=True)
             statuses.add(status)
-    return FAILED if FAILED in statuses else APPROXIMATE if APPROXIMATE in statuses else 0
+    return next(status for status in (FAILED, UNBOUND, APPROXIMATE, 0) if status in statuses)
 
 
 def _findings(arguments: argparse.Namespace, path: Path) -> Iterator[Finding]:
@@ -46,8 +49,10 @@ def _findings(arguments: argparse.Namespace, path: Path) -> Iterator[Finding]:
             summary = summarise(log)
             selection = select(arguments, summary)
             yield _integrity(log)
+            yield _binding(log.header, accept=arguments.accept_unbound)
             yield _sequence(summary)
             yield _episodes(log, summary)
+            yield _seeds(log, selection)
             yield from _simulation(log, _steps(log, selection, f"{path.name}: playing it again"))
             steps = _steps(log, selection, f"{path.name}: acting again")
             yield from _description(summary, selection, steps)
@@ -75,6 +80,16 @@ def _integrity(log: OpenLog) -> Finding:
     if not log.finished:
         return 0, f"checksums of {steps:,} steps; it is unfinished, so there are no others"
     return 0, f"checksums of {steps:,} steps, of {check_container(log.path)} chunks, of the file"
+
+
+def _binding(header: LogHeader, *, accept: bool) -> Finding:
+    if header.bound:
+        return 0, f"every step is of run {header.run}, deployment {header.deployment}"
+    text = (
+        f"log version {header.format_version}: its checksums do not tell whether a step is of"
+        " another run, deployment or description"
+    )
+    return (0, f"unbound, as accepted: {text}") if accept else (UNBOUND, text)
 
 
 def _sequence(summary: LogSummary) -> Finding:
@@ -112,6 +127,25 @@ def _episodes(log: OpenLog, summary: LogSummary) -> Finding:
     if find_episodes(log.blocks(), len(log.header.team.agents)) != summary.episodes:
         return FAILED, "its table of episodes is not that of its steps"
     return 0, f"table of {len(summary.episodes):,} episodes and their returns"
+
+
+def _seeds(log: OpenLog, selection: Selection) -> Finding:
+    check, count, first = SeedCheck(log.header), 0, ""
+    for rows in log.blocks(selection.start, selection.stop):
+        places = np.argwhere(check.wrong(rows))
+        if len(places) and not count:
+            first = f"step {rows['step'][places[0, 0]]:,}, copy {places[0, 1]}"
+        count += len(places)
+    if count:
+        return FAILED, (
+            f"{first}: the episode's seed is not one that the run's seed gives there;"
+            f" {_transitions(count)} of such episodes"
+        )
+    return 0, "seeds of all episodes: those that the run's seed gives"
+
+
+def _transitions(count: int) -> str:
+    return f"{count:,} {'transition' if count == 1 else 'transitions'}"
 
 
 def _simulation(log: OpenLog, steps: Steps) -> Iterator[Finding]:

@@ -1,13 +1,14 @@
 """Random teams and steps, and how steps are compared: bit for bit."""
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from otc_dist.deployment_log.header import LogHeader
+from otc_dist.deployment_log.reader import read_header, read_steps
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.transitions import JointStep
@@ -71,6 +72,17 @@ class Recording:
 
     def finish(self, path: Path) -> Path:
         return self.write(path).finish({name: f"digest of {name}" for name in self.team.names})
+
+
+def again(partial: Path, **header: object) -> Path:
+    """An unfinished log once more, at its place, with fields of its header exchanged."""
+    found, steps = read_header(partial), list(read_steps(partial))
+    partial.unlink()
+    writer = LogWriter.create(partial.with_suffix(""), replace(found, **header))  # type: ignore[arg-type]
+    for step in steps:
+        writer.write(step)
+    writer.close()
+    return partial
 
 
 @pytest.fixture(scope="session")

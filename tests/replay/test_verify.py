@@ -19,7 +19,7 @@ from otc_dist.transitions import JointStep
 
 from .deployments import FAMILIES, described, header_of, logged, played, retold
 
-WRONG, CLOSE = 1, 3
+WRONG, CLOSE, UNBOUND = 1, 3, 4
 
 
 @pytest.fixture(scope="session")
@@ -63,7 +63,6 @@ def exchanged(step: JointStep, field: str) -> JointStep:
         ("rewards", "a reward"),
         ("next_observations", "a next observation"),
         ("truncated", "the episode's end"),
-        ("episode_seeds", "the episode's seed"),
         ("state", "the simulator's state"),
     ],
 )
@@ -72,13 +71,40 @@ def test_one_bit_is_found_and_named(
     logs: dict[str, Path], tmp_path: Path, replay, env_id: str, field: str, what: str
 ) -> None:
     steps = list(read_steps(logs[env_id]))
-    # Any step will do, but of seeds the one with which an episode begins.
     ends = [step.step for step in steps if (step.terminated | step.truncated)[1]]
-    number = ends[0] + 1 if field == "episode_seeds" else ends[0] + 3
+    number = ends[0] + 3
     wrong = retold(logs[env_id], tmp_path / "log.mcap", exchanged(steps[number], field))
     status, told = replay(wrong, "--verify")
     assert status == WRONG
     assert f"WRONG played again, step {number}, copy 1: {what} differs" in told
+
+
+@pytest.mark.parametrize("after", [0, 60])  # steps that are left out before
+def test_seeds_of_another_deployment_are_found_also_in_a_part(
+    logs: dict[str, Path], tmp_path: Path, replay, after: int
+) -> None:
+    """The older form could hold them: what is logged there goes together."""
+    wrong = retold(logs["navigation"], tmp_path / "log.mcap", deployment=1, format_version=1)
+    status, told = replay(wrong, "--verify", "--steps", f"{after}:")
+    assert status == WRONG
+    assert f"WRONG step {after}, copy 0: the episode's seed is not one that the run's seed" in told
+    assert f"{2 * (120 - after)} transitions of such episodes" in told
+    assert "ok    seeds of all episodes" in replay(logs["navigation"], "--verify")[1]
+
+
+def test_a_log_of_the_older_form_is_unbound_unless_that_is_accepted(
+    logs: dict[str, Path], tmp_path: Path, replay
+) -> None:
+    path = retold(logs["navigation"], tmp_path / "log.mcap", format_version=1)
+    status, told = replay(path, "--verify")
+    assert status == UNBOUND
+    assert "unbound log version 1: its checksums do not tell" in told
+    status, told = replay(path, "--verify", "--accept-unbound")
+    assert status == 0 and "ok    unbound, as accepted" in told
+    assert (
+        "ok    every step is of run replayed-run, deployment 2"
+        in (replay(logs["navigation"], "--verify")[1])
+    )
 
 
 def test_other_actions_are_found_where_they_first_matter(

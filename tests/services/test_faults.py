@@ -12,6 +12,8 @@ import pytest
 
 from otc_dist.bus.wire import PROTOCOL_VERSION
 from otc_dist.deployment_log.format import partial_path
+from otc_dist.deployment_log.reader import read_header
+from tests.deployment_log.conftest import again
 
 from .conftest import AGENTS, PROCESSES, Services
 
@@ -116,9 +118,15 @@ def test_a_log_that_does_not_come_out_again_is_refused(run: Services) -> None:
     run.start("host")
     assert run.wait("host") == 1
     assert "does not come out as it was logged" in run.output("host").splitlines()[-1]
+    run.folder.description.write_text(text)
+    again(partial_path(run.folder.deployment(1)), run="another-run")
+    run.start("host")
+    assert run.wait("host") == 1
+    assert "is of run another-run, deployment 1, not of" in run.output("host").splitlines()[-1]
 
 
 def test_a_full_disk_is_one_line_and_loses_nothing(run: Services, undisturbed: Services) -> None:
+    """Also if what had been written is of the older form, which the log then keeps."""
     run.start("host", full_disk=10)
     for agent in AGENTS:
         run.start(agent, stub=True)
@@ -126,9 +134,12 @@ def test_a_full_disk_is_one_line_and_loses_nothing(run: Services, undisturbed: S
     last = run.output("host").splitlines()[-1]
     assert last.startswith("error: cannot write") and "No space left on device" in last
     assert "Traceback" not in run.output("host")
+    again(partial_path(run.folder.deployment(1)), format_version=1)
     run.start("host")
     assert set(run.wait_all().values()) == {0}, run.output("host")
     assert run.result() == undisturbed.result()
+    assert "steps stay unbound to this run" in run.output("host")
+    assert [read_header(run.folder.deployment(k)).format_version for k in (1, 2)] == [1, 2]
 
 
 def test_a_learner_that_never_answers_ends_the_run_with_its_name(
