@@ -21,7 +21,7 @@ from otc_dist.transitions import JointStep
 from .conftest import Recording, again
 
 OTHERS = {
-    "run": "another run",
+    "run": "another-run",
     "deployment": 4,
     "seed": 8,
     "description": 'name = "other"\n',
@@ -80,7 +80,7 @@ def test_steps_of_another_log_are_none_of_this_one(
 def test_tables_of_another_log_are_none_of_this_one(tmp_path: Path, small: Recording) -> None:
     path = small.finish(tmp_path / "log.mcap")
     data = path.read_bytes()
-    small.header = replace(small.header, run="b run")
+    small.header = replace(small.header, run="b-run")
     other = small.finish(tmp_path / "other.mcap").read_bytes()
     at, there = data.index(b"otc_dist.policies"), other.index(b"otc_dist.policies")
     stop = data.index(b"otc_dist.episodes")

@@ -118,7 +118,9 @@ def test_names_that_will_not_do(names: tuple[str, str], said: str) -> None:
 def forged(path: Path, made: Recording, place: str, text: str) -> Path:
     """A finished log whose header, with a good checksum, says something else."""
     changed = placed(made.header.to_entries(), place, text)
-    header = SimpleNamespace(team=made.team, copies=made.header.copies, to_entries=lambda: changed)
+    ours = made.header
+    header = SimpleNamespace(**vars(ours), binding=ours.binding, layout=ours.layout)
+    header.to_entries = lambda: changed
     with OpenLog(made.write(path.with_name("whole.mcap")).finish({})) as log:
         finishing.write_finished(path, header, log.blocks, {})  # type: ignore[arg-type]
     return path
