@@ -88,8 +88,9 @@ def _parser() -> argparse.ArgumentParser:
     importing = commands.add_parser(
         "import",
         help="import deployment logs, a D4RL file or a Minari data set",
-        description="Import deployment logs of one environment, joined, or a recording of "
-        "single-agent play, whose action vector is split among the agents. Of unfinished or "
+        description="Import deployment logs of one environment, joined; a joint Minari data set, "
+        "as `replay --export minari` makes it; or a recording of single-agent play, whose action "
+        "vector is split among the agents. Of unfinished or "
         "damaged logs what is intact is taken, and from others' recordings transitions without a "
         "known true successor s' are dropped; the data set's notes tell.",
     )

@@ -1,6 +1,7 @@
 """The card of a data set (`card.json`): what is in it, how good it is, how it was made."""
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
@@ -116,19 +117,32 @@ def episode_returns(
     terminated: Bool,
     truncated: Bool,
     episodes: NDArray[np.int64],
-    limit: int = 0,
+    begun: Bool,
+    limit: int,
 ) -> tuple[Float64, int]:
     """Returns of the complete episodes, in order of their ids, and the number of the others.
 
-    An episode is complete if it terminated, or was truncated at `limit` steps or later: below,
-    something other than the task's time limit cut it. All arrays are (T,).
+    The one rule for data of every source: an episode is complete if it is there from its first
+    step on, and terminated, or was truncated at `limit` steps or later: below, something other than
+    the task's time limit cut it. All arrays are (T,).
+
+    Args:
+        begun: whether the row's episode is there from its first step.
+        limit: `registry.time_limit`; 0: the task may truncate at any step.
     """
-    ids, members = np.unique(episodes, return_inverse=True)
+    ids, members, lengths = np.unique(episodes, return_inverse=True, return_counts=True)
     returns = np.bincount(members, rewards, len(ids)).astype(np.float64)
-    fell = np.bincount(members, terminated, len(ids)) > 0
-    cut = np.bincount(members, truncated, len(ids)) > 0
-    complete = fell | (cut & (np.bincount(members, minlength=len(ids)) >= limit))
+    fell, cut, late = (
+        np.bincount(members, flags, len(ids)) > 0 for flags in (terminated, truncated, ~begun)
+    )
+    complete = ~late & (fell | (cut & (lengths >= limit)))
     return returns[complete], int((~complete).sum())
+
+
+def team_rewards(rewards: Sequence[Float32]) -> Float64:
+    """A team's rewards (T,) from its agents', N x (T,): their mean."""
+    mean: Float64 = np.stack(rewards).mean(axis=0, dtype=np.float64)
+    return mean
 
 
 def normalised_scores(env_id: str, returns: Float64) -> Float64:

@@ -70,6 +70,7 @@ def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
         terminated=terminated,
         truncated=timeouts & ~terminated,
         episodes=np.concatenate(([0], np.cumsum(ends[:-1]))).astype(np.int64),
+        begun=np.ones(length, np.bool_),
         notes=notes,
     )
     if known.all():

@@ -33,10 +33,11 @@ def opened(path: Path) -> Iterator["h5py.File"]:
         yield file
 
 
-def names(group: "h5py.Group", source: str) -> tuple[str, ...]:
-    """The names in a file or group. UserError if it is damaged."""
+def names(group: "h5py.Group", source: str, inside: str = "/") -> tuple[str, ...]:
+    """The names in a file, or in a group of it; none if it has none such. UserError if damaged."""
     with _damage(source):
-        return tuple(group)
+        found = group.get(inside, ())
+        return () if hasattr(found, "shape") else tuple(found)
 
 
 def array(group: "h5py.Group", name: str, source: str) -> NDArray[Any] | None:
@@ -45,6 +46,12 @@ def array(group: "h5py.Group", name: str, source: str) -> NDArray[Any] | None:
         if name not in group or not hasattr(group[name], "shape"):
             return None
         return np.asarray(group[name][()])
+
+
+def attributes(group: "h5py.Group", name: str, source: str) -> dict[str, object]:
+    """The attributes of a group in a file or group. UserError if damaged."""
+    with _damage(source):
+        return dict(group[name].attrs)
 
 
 @contextmanager

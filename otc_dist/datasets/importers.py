@@ -4,21 +4,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from otc_dist.datasets import d4rl, hdf5, minari
-from otc_dist.datasets.card import DatasetCard, episode_returns, file_sha256
+from otc_dist.datasets import d4rl, hdf5, minari, minari_team
+from otc_dist.datasets.card import DatasetCard, episode_returns, file_sha256, team_rewards
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.log_import import is_log, read_logs
 from otc_dist.datasets.names import DatasetName, plain
 from otc_dist.datasets.own_file import import_agent_file, is_agent_file
-from otc_dist.datasets.recording import Recording, split
+from otc_dist.datasets.recording import split
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
 from otc_dist.envs.robot_specs import PARTITIONS
 from otc_dist.errors import UserError
 from otc_dist.progress import Report, silent
 from otc_dist.spec import TeamSpec
+from otc_dist.transitions import Bool, Float64
 
 if TYPE_CHECKING:
     import h5py
@@ -74,15 +73,7 @@ def import_logs(
     name = _name(team.env_id, level or logged.runs[0])
     if not len(data):
         raise UserError(f"{sources[0]}: there is no whole step in it")
-    begun = logged.begun
-    returns, incomplete = episode_returns(
-        np.stack(data.rewards).mean(axis=0, dtype=np.float64)[begun],
-        data.terminated[begun],
-        data.truncated[begun],
-        data.episodes[begun],
-        team.max_episode_steps,
-    )
-    incomplete += len(np.unique(data.episodes[~begun]))
+    returns, incomplete = _returns(data, logged.begun, registry.time_limit(team.env_id))
     origin = f"deployment logs of {', '.join(logged.runs)}"
     made = Provenance(origin, logged.recipe, versions("mcap"), returns, incomplete, logged.notes)
     return _publish(name, data, made)
@@ -94,7 +85,8 @@ def import_file(source: Path, level: str, env_id: str = "") -> DatasetCard:
     To import the same file again changes nothing.
 
     Args:
-        source: a D4RL file, or a Minari data set: its folder or its `main_data.hdf5`.
+        source: a D4RL file, or a Minari data set, of single-agent play or joint: its folder or its
+            `main_data.hdf5`.
         level: the name after the slash; not one of those that we make.
         env_id: whose agents share the action vector; "": the multi-agent version of the robot
             that the file's name (D4RL) or the metadata (Minari) names.
@@ -110,17 +102,12 @@ def import_file(source: Path, level: str, env_id: str = "") -> DatasetCard:
     spec = registry.team_spec(env_id or _guess(recorded_in or path.name))
     name = _name(spec.env_id, level)
     with hdf5.opened(path) as file:
-        recording = _read(file, spec, str(path))
+        data, notes, (returns, incomplete) = _read(file, spec, str(path))
     recipe = {"file": path.name, "sha256": file_sha256(path)}
-    data, notes = split(recording, spec)
     if not len(data):
         raise UserError(f"{path}: nothing is left of it: {'; '.join(notes)}")
     if recorded_in:
         notes = (f"recorded in {recorded_in}", *notes)
-    # Of all that was recorded: transitions without a successor count in an episode's return.
-    returns, incomplete = episode_returns(
-        recording.rewards, recording.terminated, recording.truncated, recording.episodes
-    )
     origin = f"imported from {path.name}"
     made = Provenance(origin, recipe, versions("h5py", "mujoco"), returns, incomplete, notes)
     return _publish(name, data, made)
@@ -142,7 +129,9 @@ def _publish(name: DatasetName, data: JointTransitions, made: Provenance) -> Dat
 
 
 def _guess(recorded_in: str) -> str:
-    """The multi-agent environment of the robot with whose name `recorded_in` begins."""
+    """The environment of that name, or the multi-agent one of the robot whose name begins it."""
+    if registry.known(recorded_in):
+        return recorded_in
     for env_id, (robot, agents) in PARTITIONS.items():
         if agents > 1 and recorded_in.lower().startswith(robot.name):
             return env_id
@@ -160,7 +149,23 @@ def _name(env_id: str, level: str) -> DatasetName:
     return name
 
 
-def _read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
-    if any(name.startswith(minari.EPISODE) for name in hdf5.names(file, source)):
-        return minari.read(file, spec, source)
-    return d4rl.read(file, spec, source)
+def _read(
+    file: "h5py.File", spec: TeamSpec, source: str
+) -> tuple[JointTransitions, tuple[str, ...], tuple[Float64, int]]:
+    """A team's data, notes, and the returns of its complete episodes with the number of others."""
+    limit = registry.time_limit(spec.env_id)
+    if minari_team.is_joint(file, source):
+        data, begun, notes = minari_team.read(file, spec, source)
+        return data, notes, _returns(data, begun, limit)
+    has_episodes = bool(minari.episodes(file, source))
+    recording = (minari if has_episodes else d4rl).read(file, spec, source)
+    data, notes = split(recording, spec)
+    # Of all that was recorded: transitions without a successor count in an episode's return.
+    r = recording
+    found = episode_returns(r.rewards, r.terminated, r.truncated, r.episodes, r.begun, limit)
+    return data, notes, found
+
+
+def _returns(data: JointTransitions, begun: Bool, limit: int) -> tuple[Float64, int]:
+    rewards = team_rewards(data.rewards)
+    return episode_returns(rewards, data.terminated, data.truncated, data.episodes, begun, limit)

@@ -6,13 +6,14 @@ The last observation is there, so every transition has its true successor.
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.datasets.hdf5 import array, names
+from otc_dist.datasets.hdf5 import array, attributes, names
 from otc_dist.datasets.recording import Recording, flags, joint_sizes, numbers
 from otc_dist.errors import UserError
 from otc_dist.spec import TeamSpec
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     import h5py
 
 DATA_FILE = "main_data.hdf5"
+OUR_ENVIRONMENT = "environment"  # where the description of an export of ours names it
 EPISODE = "episode_"
 _FIELDS = ("observations", "actions", "rewards", "terminations", "truncations")
 
@@ -43,12 +45,44 @@ def data_file(folder: Path) -> Path:
 
 
 def environment(path: Path) -> str:
-    """The environment id that the metadata beside the data file name, or ""."""
-    try:
-        metadata = json.loads((path.parent / "metadata.json").read_text(encoding="utf-8"))
-        return str(json.loads(metadata["env_spec"])["id"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return ""
+    """The environment id that the metadata beside the data file name, or "": Minari's, or ours."""
+    for field, name in (("env_spec", "id"), ("description", OUR_ENVIRONMENT)):
+        try:
+            metadata = json.loads((path.parent / "metadata.json").read_text(encoding="utf-8"))
+            return str(json.loads(metadata[field])[name])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    return ""
+
+
+def episodes(file: "h5py.File", source: str) -> list[str]:
+    """The names of the episodes, in their order. Raises UserError: damage."""
+    found = [name for name in names(file, source) if name.startswith(EPISODE)]
+    if bad := [name for name in found if not name.removeprefix(EPISODE).isdecimal()]:
+        raise UserError(f"{source}: {bad[0]} is no episode's name")
+    return sorted(found, key=lambda name: int(name.removeprefix(EPISODE)))
+
+
+class Beginnings:
+    """Which episodes are there from their first step.
+
+    Ours say which steps they are of which log and copy; where one is cut, because steps are missing
+    or only a part was exported, what is left becomes an episode that has no beginning. Others'
+    episodes are taken to be whole.
+    """
+
+    def __init__(self) -> None:
+        self._followed: set[tuple[int, ...]] = set()  # what comes after an episode's end
+
+    def has(self, attributes: Mapping[str, object], length: int, ended: bool) -> bool:
+        """Whether the next episode, of so many steps, has its beginning."""
+        place = tuple(attributes.get(f"options/{name}") for name in ("log", "copy", "step"))
+        if not all(isinstance(number, int | np.integer) for number in place):
+            return True
+        log, copy, step = (int(str(number)) for number in place)
+        if ended:
+            self._followed.add((log, copy, step + length))
+        return step == 0 or (log, copy, step) in self._followed
 
 
 def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
@@ -57,13 +91,12 @@ def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
     Raises:
         UserError: damage, missing arrays, sizes other than the environment's, or bad values.
     """
-    episodes = [name for name in names(file, source) if name.startswith(EPISODE)]
-    if bad := [name for name in episodes if not name.removeprefix(EPISODE).isdecimal()]:
-        raise UserError(f"{source}: {bad[0]} is no episode's name")
-    episodes.sort(key=lambda name: int(name.removeprefix(EPISODE)))
     width, action_size = joint_sizes(spec, source)
-    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in (*_FIELDS, "next", "episodes")}
-    for index, name in enumerate(episodes):
+    parts: dict[str, list[NDArray[Any]]] = {
+        name: [] for name in (*_FIELDS, "next", "episodes", "begun")
+    }
+    beginnings = Beginnings()
+    for index, name in enumerate(episodes(file, source)):
         where = f"{source}: {name}"
         group = {}
         for field in _FIELDS:
@@ -81,6 +114,9 @@ def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
         for field in ("terminations", "truncations"):
             parts[field].append(flags(group[field], field, length, where))
         parts["episodes"].append(np.full(length, index, np.int64))
+        ended = bool(parts["terminations"][-1][-1:].any() | parts["truncations"][-1][-1:].any())
+        whole = beginnings.has(attributes(file, name, source), length, ended)
+        parts["begun"].append(np.full(length, whole, np.bool_))
     if not sum(map(len, parts["rewards"])):
         raise UserError(f"{source} is empty")
     joined = {name: np.concatenate(arrays) for name, arrays in parts.items()}
@@ -93,5 +129,6 @@ def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
         terminated=joined["terminations"],
         truncated=joined["truncations"] & ~joined["terminations"],
         episodes=joined["episodes"],
+        begun=joined["begun"],
         notes=(),
     )

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from otc_dist.datasets.agent_files import read_file
-from otc_dist.datasets.card import FILE_NAME, AgentFile, DatasetCard
+from otc_dist.datasets.card import FILE_NAME, AgentFile, DatasetCard, episode_returns
 from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.writing import add_file, locked
+from otc_dist.envs import registry
 from otc_dist.errors import UserError
 
 
@@ -30,6 +31,14 @@ def import_agent_file(source: Path) -> DatasetCard:
     if name.source:
         make = f"make {name} --transitions {header.transitions} --agent {header.agent}"
         raise UserError(f"{source} can be made here alike: python -m otc_dist.datasets {make}")
+    _, cut = episode_returns(
+        tensors["rewards"],
+        tensors["terminated"],
+        tensors["truncated"],
+        tensors["episodes"],
+        np.ones(header.transitions, np.bool_),
+        registry.time_limit(header.env_id),
+    )
     own = AgentFile.of(source, header.observation_size, header.action_size)
     card = DatasetCard(
         name=str(name),
@@ -37,8 +46,8 @@ def import_agent_file(source: Path) -> DatasetCard:
         transitions=header.transitions,
         terminated=int(tensors["terminated"].sum()),
         truncated=int(tensors["truncated"].sum()),
-        episodes=len(np.unique(tensors["episodes"])),
-        incomplete_episodes=0,
+        episodes=len(np.unique(tensors["episodes"])) - cut,
+        incomplete_episodes=cut,
         returns=None,
         normalised_score=None,
         origin=header.origin,

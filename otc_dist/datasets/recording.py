@@ -1,5 +1,6 @@
 """A recording of single-agent play, as importers read it, and its split into a team's data."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,6 +29,7 @@ class Recording:
     terminated: Bool  # (T,)
     truncated: Bool  # (T,)
     episodes: NDArray[np.int64]  # (T,) ascending
+    begun: Bool  # (T,) whether the row's episode is there from its first step
     notes: tuple[str, ...]  # what was assumed or reconstructed, for the card
 
     def with_notes(self, *notes: str) -> "Recording":
@@ -92,22 +94,18 @@ def split(recording: Recording, spec: TeamSpec) -> tuple[JointTransitions, tuple
     Returns:
         the team's data, and the recording's notes with those on what was dropped and clipped.
     """
-    low = np.array([x for agent in spec.agents for x in agent.action_low], np.float32)
-    high = np.array([x for agent in spec.agents for x in agent.action_high], np.float32)
     kept, notes = recording.known, recording.notes
-    actions = np.clip(recording.actions, low, high)
-    beyond = int((actions != recording.actions).any(axis=1).sum())
-    if beyond:
-        notes += (f"{beyond} actions beyond the bounds were clipped, as the environment does",)
+    bounds = np.cumsum([agent.action_size for agent in spec.agents])[:-1]
+    actions, said = clipped(np.split(recording.actions, bounds, axis=1), spec)
+    notes += said
     if not kept.all():
         notes += (_dropped(recording),)
     observations, successors = recording.observations[kept], recording.next_observations[kept]
     rewards = recording.rewards[kept]
-    bounds = np.cumsum([agent.action_size for agent in spec.agents])[:-1]
     count = len(spec.agents)
     joint = JointTransitions(
         observations=(observations,) * count,
-        actions=tuple(np.split(actions[kept], bounds, axis=1)),
+        actions=tuple(part[kept] for part in actions),
         rewards=(rewards,) * count,
         next_observations=(successors,) * count,
         terminated=recording.terminated[kept],
@@ -115,6 +113,21 @@ def split(recording: Recording, spec: TeamSpec) -> tuple[JointTransitions, tuple
         episodes=recording.episodes[kept],
     )
     return joint, notes
+
+
+def clipped(
+    actions: Sequence[Float32], spec: TeamSpec
+) -> tuple[tuple[Float32, ...], tuple[str, ...]]:
+    """Actions N x (T, action_size) within the agents' bounds, and in words, how many were not."""
+    within = tuple(
+        np.clip(sent, *np.array((agent.action_low, agent.action_high), np.float32))
+        for sent, agent in zip(actions, spec.agents, strict=True)
+    )
+    moved = [(a != b).any(axis=1) for a, b in zip(actions, within, strict=True)]
+    beyond = int(np.any(moved, axis=0).sum())
+    if not beyond:
+        return within, ()
+    return within, (f"{beyond} actions beyond the bounds were clipped, as the environment does",)
 
 
 def _dropped(recording: Recording) -> str:

@@ -17,13 +17,14 @@ import numpy as np
 import otc_dist
 from otc_dist.datasets import generate
 from otc_dist.datasets.agent_files import load_agent, load_tensors
-from otc_dist.datasets.card import DatasetCard, episode_returns
+from otc_dist.datasets.card import DatasetCard, episode_returns, team_rewards
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
 from otc_dist.progress import Report, silent
+from otc_dist.transitions import Float64
 
 __all__ = ["agent_file", "ensure", "load_agent", "load_joint", "usual_size"]
 
@@ -89,13 +90,7 @@ def ensure(
         if fault is not None:
             _log.warning("making %s again: %s", folder, fault)
         made = generate.generate(parsed.env_id, parsed.level, int(folder.name), _SEED, report)
-        returns, incomplete = episode_returns(
-            np.stack(made.rewards).mean(axis=0, dtype=np.float64),  # the team's: the agents' mean
-            made.terminated,
-            made.truncated,
-            made.episodes,
-            registry.team_spec(parsed.env_id).max_episode_steps,
-        )
+        returns, incomplete = _returns(parsed, made)
         origin = f"made by otc_dist, seed {_SEED}"
         provenance = Provenance(
             origin,
@@ -106,6 +101,19 @@ def ensure(
             registry.remarks(parsed.env_id),
         )
         return publish(parsed, made, provenance, sorted(wanted))
+
+
+def _returns(name: DatasetName, made: JointTransitions) -> tuple[Float64, int]:
+    """Returns of the complete episodes of what was made, and the number of the others."""
+    limit, truncated = registry.time_limit(name.env_id), made.truncated
+    if not limit:  # the length does not tell whether the task ended an episode, or we did
+        truncated = truncated.copy()
+        stops = [part.stop for part in generate.parts(name.env_id, name.level, len(made))]
+        truncated[np.array(stops) - 1] = False
+    begun = np.ones(len(made), np.bool_)
+    return episode_returns(
+        team_rewards(made.rewards), made.terminated, truncated, made.episodes, begun, limit
+    )
 
 
 def _imported(folder: Path, wanted: set[str]) -> DatasetCard:

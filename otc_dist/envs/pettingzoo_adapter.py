@@ -59,6 +59,11 @@ def team_spec(env_id: str) -> TeamSpec:
     return _admitted(env_id).team
 
 
+def time_limit(env_id: str) -> int:
+    """Its `max_cycles`; 0 where it has none. Raises UserError as `team_spec`."""
+    return _admitted(env_id).limit
+
+
 def remarks(env_id: str) -> tuple[str, ...]:
     """In words, what becomes of actions on their way to it. Raises UserError as `team_spec`."""
     return tuple(_admitted(env_id).remarks())

@@ -72,6 +72,7 @@ class Admitted:
 
     team: TeamSpec
     agents: tuple[Agent, ...]
+    limit: int  # after how many steps it says that its episodes are cut; 0: it does not say
 
     @property
     def keys(self) -> frozenset[Hashable]:
@@ -104,8 +105,8 @@ def admitted(env_id: str, env: Any) -> Admitted:  # PettingZoo is untyped
     if len({agent.spec.name for agent in agents}) < len(keys):
         raise UserError(f"{env_id}: two of its agents have one name")
     specs = tuple(agent.spec for agent in agents)
-    state_size = sum(spec.observation_size for spec in specs)
-    return Admitted(TeamSpec(env_id, specs, state_size, _limit(env_id, env)), agents)
+    state_size, limit = sum(spec.observation_size for spec in specs), _limit(env_id, env)
+    return Admitted(TeamSpec(env_id, specs, state_size, limit or MAX_STEPS), agents, limit)
 
 
 def inner(env: Any) -> Any:
@@ -114,14 +115,14 @@ def inner(env: Any) -> Any:
 
 
 def _limit(env_id: str, env: Any) -> int:
-    """After how many steps its episodes are cut."""
+    """After how many steps it says that its episodes are cut; 0 if it says nothing."""
     with checks.in_users_code(env_id, "asked for its max_cycles, it"):
         given = getattr(inner(env), "max_cycles", None)
     if given is None:
-        return MAX_STEPS
+        return 0
     number = checks.number(given)
     if number == math.inf:  # another way to say that there is none
-        return MAX_STEPS
+        return 0
     if number is None or not number >= 1 or number != int(number):
         raise UserError(
             f"{env_id}: max_cycles is {checks.shown(given)}; it must be a whole number from 1 on,"

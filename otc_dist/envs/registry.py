@@ -32,6 +32,8 @@ class _Family:
     shares_reward: bool = True  # whether all agents get the same one, whatever happens
     # Simulator states from what agents observe, None of a task that does not show them.
     states_of: Callable[[str, Float32], Float64 | None] | None = None
+    # After how many steps episodes are truncated; None: after the team's `max_episode_steps`.
+    time_limit: Callable[[str], int] | None = None
     # In words, what a user should know of how the environment is driven.
     remarks: Callable[[str], tuple[str, ...]] | None = None
     sources: Callable[[str], dict[str, str]] | None = None  # None: all are this package's
@@ -103,6 +105,7 @@ _FAMILIES = (
         pettingzoo_adapter.knows,
         pettingzoo_adapter.team_spec,
         _make_pettingzoo,
+        time_limit=pettingzoo_adapter.time_limit,
         remarks=pettingzoo_adapter.remarks,
         shares_reward=False,
         sources=pettingzoo_adapter.sources,
@@ -178,6 +181,15 @@ def remarks(env_id: str) -> tuple[str, ...]:
     """
     remarks_of = _family(env_id).remarks
     return remarks_of(env_id) if remarks_of else ()
+
+
+def time_limit(env_id: str) -> int:
+    """After how many steps the task truncates an episode, and no earlier.
+
+    0 of an environment of the user's own that does not say: it may do so at any step.
+    """
+    limit_of = _family(env_id).time_limit
+    return limit_of(env_id) if limit_of else team_spec(env_id).max_episode_steps
 
 
 def shares_reward(env_id: str) -> bool:

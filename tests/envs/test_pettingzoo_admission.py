@@ -224,6 +224,16 @@ def test_an_environment_that_is_not_derived_from_theirs_may_lack_what_is_not_nee
     env.close()
 
 
+def test_without_a_limit_the_episodes_that_it_ends_itself_are_complete(
+    name_of: Callable[[Callable[[], Any]], str],
+) -> None:
+    card = store.ensure(f"{name_of(Tiny)}/random", 22)  # the last episode is cut where that is full
+    assert (card.episodes, card.incomplete_episodes) == (4, 1)
+    assert card.returns is not None and card.returns.mean == 5.0
+    unsaid = store.ensure(f"{name_of(case(max_cycles=9))}/random", 22)  # these were cut below it
+    assert (unsaid.episodes, unsaid.incomplete_episodes) == (0, 5)
+
+
 def raising(error: BaseException) -> Any:
     def raise_it(self: object, *_: object) -> None:
         raise error

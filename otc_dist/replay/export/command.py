@@ -106,7 +106,8 @@ def _export(
     """Write all data sets and the card; returns the card."""
     team = parts[0].summary.header.team
     logs = [part.about() for part in parts]
-    views = _views(team, parts[0].selection, form, json.dumps({"logs": logs}))
+    about = json.dumps({"environment": team.env_id, "logs": logs})
+    views = _views(team, parts[0].selection, form, about)
     writers = [form.opener()(folder, view) for view in views]
     total, done, count = sum(part.transitions for part in parts), 0, 0
     with progress.shown(f"exporting to {arguments.out}", "transitions") as report:
