@@ -9,6 +9,7 @@ from pathlib import Path
 
 import torch
 
+from otc_dist import user_code
 from otc_dist.comparison import mechanism, runs
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
@@ -24,6 +25,7 @@ def main(argv: list[str]) -> int:
     path, seed, piece, *rest = argv
     folder = ComparisonFolder(Path(path))
     base = Description.load(folder.description)
+    user_code.allow(*base.code)
     if piece == "offline":
         runs.train_offline(folder, base, int(seed), rest[0], Teller(), rest[1:])
     elif piece == "pi_0":

@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+from otc_dist import user_code
 from otc_dist.description import Description
 from otc_dist.description.algorithms import BremenSection
 from otc_dist.envs import registry
@@ -28,6 +29,7 @@ def main(argv: list[str]) -> int:
     `argv`: the run folder, and the agents that learn on this machine (none: all).
     """
     description = Description.load(RunFolder(Path(argv[0])).description)
+    user_code.allow(*description.code)
     agents = {
         (agent.observation_size, agent.action_size): agent
         for agent in registry.team_spec(description.env.id).agents

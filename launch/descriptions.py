@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from otc_dist import user_code
 from otc_dist.description import Description
 from otc_dist.errors import unknown
 
@@ -52,4 +53,6 @@ def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -
     changes = [*(QUICK if quick else ()), *assignments]
     if seed is not None:
         changes.append(f"seed={seed}")
-    return Description.load(find(name), changes)
+    description = Description.load(find(name), changes)
+    user_code.allow(*description.code)  # it is to be run
+    return description

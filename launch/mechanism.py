@@ -5,6 +5,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
+from otc_dist import user_code
 from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison import mechanism_table
 from otc_dist.comparison.scores import ComparisonFolder
@@ -32,6 +33,7 @@ def main(argv: list[str]) -> int:
         UserError: anything the user can mend: one line, status 2.
     """
     arguments = _parser().parse_args(argv)
+    user_code.allow(*arguments.allow)
     seeds = arms_of.parse_seeds(arguments.seeds)
     quick: bool = arguments.quick
     started = descriptions.load(arguments.description, (), None, quick)
@@ -95,4 +97,5 @@ def _parser() -> argparse.ArgumentParser:
         help="change one value, like sampling.alpha=2",
     )
     parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
+    user_code.add_flag(parser)
     return parser

@@ -13,7 +13,7 @@ from otc_dist.description.distances import FITS
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
-from otc_dist.spec import AgentSpec
+from otc_dist.spec import AgentSpec, TeamSpec
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Origin:
         root = root.resolve()
         theirs = _description(root)
         mine = registry.team_spec(description.env.id).agents
-        _check_agents(root, mine, registry.team_spec(theirs.env.id).agents)
+        _check_agents(root, mine, _team(root, theirs).agents)
         if (differs := _differs(description, theirs)) is not None:
             raise UserError(
                 f"the policies of {root} are of another algorithm: {differs} is not this"
@@ -86,6 +86,14 @@ def _description(root: Path) -> Description:
     if not own.exists():
         raise UserError(f"--from: {root} is no run folder: it has no description.toml")
     return Description.load(own)
+
+
+def _team(root: Path, description: Description) -> TeamSpec:
+    """Raises UserError: the environment is not known here, or is code that is not allowed."""
+    try:
+        return registry.team_spec(description.env.id)
+    except UserError as error:
+        raise UserError(f"--from: {root}: {error}") from None
 
 
 def _check_agents(root: Path, mine: tuple[AgentSpec, ...], theirs: tuple[AgentSpec, ...]) -> None:

@@ -6,6 +6,7 @@ import sys
 from contextlib import ExitStack
 from pathlib import Path
 
+from otc_dist import user_code
 from otc_dist.comparison import arms, meanings
 from otc_dist.description import Description
 from otc_dist.envs import registry
@@ -37,6 +38,7 @@ def main(argv: list[str]) -> int:
     """
     parser = _parser()
     arguments = parser.parse_args(argv)
+    user_code.allow(*arguments.allow)
     if arguments.arm is not None and arguments.resume is None:
         # Whatever is done with --set, as on other hosts, is done with an arm.
         arguments.set = [*arms.of_single_run(arguments.arm), *arguments.set]
@@ -64,6 +66,8 @@ def _start(arguments: argparse.Namespace) -> int:
     quick: bool = arguments.quick
     chosen = descriptions.load(arguments.description, arguments.set, arguments.seed, quick)
     team = registry.team_spec(chosen.env.id)
+    if arguments.allow and arguments.origin is None:
+        raise UserError("--allow is for --from: the code that a description names is run anyway")
     if arguments.deployments is not None:
         raise UserError("--deployments extends a run: with --resume; else --set deployment.count=N")
     if arguments.origin is not None and (arguments.hosts or arguments.role):
@@ -132,6 +136,7 @@ def _resume(arguments: argparse.Namespace) -> int:
             ("--dry-run", arguments.dry_run),
             ("--role", arguments.role),
             ("--from", arguments.origin),
+            ("--allow", arguments.allow),
         )
         if value
     ]
@@ -196,6 +201,7 @@ def _parser() -> argparse.ArgumentParser:
         help="print the command of each host in this TOML file",
     )
     apart.add_argument("--ssh", action="store_true", help="with --hosts: run them there")
+    user_code.add_flag(parser)
     parser.add_argument("--list", action="store_true", help="list the shipped descriptions")
     return parser
 

@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal, Self
 
-from otc_dist import __version__, durable
+from otc_dist import __version__, durable, user_code
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.inputs import Digests, check
@@ -150,6 +150,7 @@ def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
             f"{folder.root} is finished; see {folder.report}; --deployments N extends it"
         )
     description = Description.load(folder.description)
+    user_code.allow(*description.code)
     if description.digest() != record.description:
         raise changed(folder)
     check_versions(record, folder)

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Self
 
+from otc_dist import user_code
 from otc_dist.bus.agreement import copies_by_phase, longest_message, run_spec
 from otc_dist.bus.endpoints import Door, door, local_endpoint
 from otc_dist.bus.keys import Keys
@@ -59,6 +60,7 @@ class Run:
         """
         folder = RunFolder(root.resolve())
         description = Description.load(folder.description)
+        user_code.allow(*description.code)
         try:
             record = json.loads(folder.run_json.read_text(encoding="utf-8"))
             run, noted = record["run"], dict(record.get("inputs", {}))

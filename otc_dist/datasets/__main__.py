@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from otc_dist import progress
+from otc_dist import progress, user_code
 from otc_dist.cache import cache_root
 from otc_dist.datasets import store
 from otc_dist.datasets.card import DatasetCard, Summary
@@ -46,12 +46,14 @@ def main(argv: list[str]) -> int:
     if arguments.command == "list":
         _list()
     elif arguments.command == "make":
+        user_code.allow(arguments.name.rpartition("/")[0])
         with progress.shown(f"making {arguments.name}", "transitions") as report:
             card = store.ensure(arguments.name, arguments.transitions, report, arguments.agent)
         print(describe(card))
     elif arguments.command == "show":
         print(describe(_cached(arguments.name, arguments.transitions)))
     else:
+        user_code.allow(arguments.env, *arguments.allow)
         with progress.shown("reading", "logs") as report:
             card = import_files(arguments.files, arguments.name, arguments.env, report)
         print(describe(card))
@@ -115,6 +117,7 @@ def _parser() -> argparse.ArgumentParser:
         help="for example hopper-3x1; default: what the logs say, or the team of the robot that "
         "FILE names",
     )
+    user_code.add_flag(importing)
     return parser
 
 

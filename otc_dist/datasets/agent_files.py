@@ -119,7 +119,7 @@ def _load(path: Path, agent: str) -> tuple[Header, Tensors]:
     if problem is None and header.sealed(tensors).sha256 != header.sha256:
         problem = "its checksum does not match"
     if problem is None:
-        problem = _contradiction(header)
+        problem = _contradiction(header, path)
     if problem is not None:
         raise _damaged(path, problem)
     return header, tensors
@@ -172,9 +172,16 @@ def _problem(header: Header, tensors: Tensors) -> str | None:
     return None
 
 
-def _contradiction(header: Header) -> str | None:
-    """Where the header contradicts the environment that it names; None where it does not."""
-    spec = registry.team_spec(header.env_id)
+def _contradiction(header: Header, path: Path) -> str | None:
+    """Where the header contradicts the environment that it names; None where it does not.
+
+    Raises:
+        UserError: there is no such environment, or it is code that is not allowed.
+    """
+    try:
+        spec = registry.team_spec(header.env_id)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
     if header.agent not in spec.names:
         return f"{header.env_id} has no {header.agent}"
     agent = spec.agents[spec.index(header.agent)]

@@ -159,7 +159,10 @@ def _numbered(steps: NDArray[np.unsignedinteger], ends: Bool) -> tuple[NDArray[n
 def _check_team(team: TeamSpec, path: Path) -> None:
     if not registry.known(team.env_id):
         raise UserError(f"{path} was recorded in {team.env_id}, which this otc_dist does not have")
-    now = registry.team_spec(team.env_id)
+    try:
+        now = registry.team_spec(team.env_id)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
     if now.agents != team.agents:
         raise UserError(
             f"{path}: {team.env_id} had other agents when it was recorded, "

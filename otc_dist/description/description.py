@@ -188,6 +188,11 @@ class Description(Section):
             f" {tuned or sampling.name + ' sampling'}"
         )
 
+    @property
+    def code(self) -> tuple[str, ...]:
+        """What of it may name code of the user's own, as module:function."""
+        return self.env.id, self.dataset.name.rpartition("/")[0]
+
     def progress(self, deployment: int) -> float:
         """The share of the deployments gone in deployment and evaluation k, from 0 to 1."""
         return progress(deployment, self.deployment.count)

@@ -13,8 +13,6 @@ It cannot be set to a state, so `state` is what the agents observe: a deployment
 continued by playing its episodes again, and that shows whether they came out the same.
 """
 
-import importlib
-import re
 import sys
 from collections.abc import Hashable, Mapping, Sequence
 from functools import cache
@@ -24,20 +22,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otc_dist import user_code
 from otc_dist.envs import own_sources
 from otc_dist.envs import pettingzoo_checks as checks
 from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.envs.pettingzoo_admission import Admitted, admitted, inner
 from otc_dist.errors import UserError
+from otc_dist.names import is_code
 from otc_dist.spec import TeamSpec
 from otc_dist.transitions import Float32, Float64, all_finite
-
-_ID = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", re.ASCII)
 
 
 def knows(env_id: str) -> bool:
     """Whether the id has the form module:function; whether they exist shows when it is made."""
-    return _ID.fullmatch(env_id) is not None
+    return is_code(env_id)
 
 
 @cache
@@ -108,10 +106,11 @@ _brought: dict[str, frozenset[str]] = {}
 
 
 def _made(env_id: str) -> Any:  # PettingZoo is untyped
-    module_name, _, function = env_id.partition(":")
     before = frozenset(sys.modules)
     try:
-        made = getattr(importlib.import_module(module_name), function)()
+        made: Any = user_code.found(env_id)()
+    except UserError:
+        raise
     except ModuleNotFoundError as error:
         raise UserError(
             f"{env_id}: there is no module {error.name}; start from the folder that holds it, or"

@@ -12,7 +12,6 @@ refused in one line. What it gives while it is played is checked by `pettingzoo_
 """
 
 import math
-import re
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 
 from otc_dist.envs import pettingzoo_checks as checks
 from otc_dist.errors import UserError
+from otc_dist.names import check_agents
 from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.transitions import Bool, Float32
 
@@ -30,7 +30,6 @@ MAX_STEPS = 1000  # where the environment has no `max_cycles`
 MOST_STEPS = 100_000  # whatever its `max_cycles` says: episodes are held in memory
 MOST_NUMBERS = 1_000_000  # of one agent's observation, with the mask, or of its action
 
-_NAME = re.compile(r"[\w-]+", re.ASCII)  # it becomes part of bus keys and file names
 _EXACT = 2**24  # float32 holds every whole number up to here
 
 
@@ -102,8 +101,10 @@ def admitted(env_id: str, env: Any) -> Admitted:  # PettingZoo is untyped
     if not keys:
         raise UserError(f"{env_id} has no agents")
     agents = tuple(_agent(env_id, env, key) for key in keys)
-    if len({agent.spec.name for agent in agents}) < len(keys):
-        raise UserError(f"{env_id}: two of its agents have one name")
+    try:
+        check_agents(agent.spec.name for agent in agents)
+    except ValueError as error:
+        raise UserError(f"{env_id}: {error}") from None
     specs = tuple(agent.spec for agent in agents)
     state_size, limit = sum(spec.observation_size for spec in specs), _limit(env_id, env)
     return Admitted(TeamSpec(env_id, specs, state_size, limit or MAX_STEPS), agents, limit)
@@ -133,8 +134,6 @@ def _limit(env_id: str, env: Any) -> int:
 
 def _agent(env_id: str, env: Any, key: Hashable) -> Agent:
     name = str(key)
-    if not _NAME.fullmatch(name):
-        raise UserError(f"{env_id}: an agent is called {name!r}; use letters, digits, _ and -")
     with checks.in_users_code(env_id, f"asked for the spaces of {name}, it"):
         seen, done = env.observation_space(key), env.action_space(key)
     for what, space in (("observes", seen), ("acts in", done)):

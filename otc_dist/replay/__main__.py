@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+from otc_dist import user_code
 from otc_dist.deployment_log.format import DamagedLogError
 from otc_dist.errors import UserError, run_main
 from otc_dist.parser import Parser
@@ -88,6 +89,7 @@ _ACTIONS: tuple[_Action, ...] = (
 def main(argv: list[str]) -> int:
     """Run one action; its exit status. Raises UserError for what the user can mend."""
     arguments = _parser().parse_args(argv)
+    user_code.allow(*arguments.allow)
     chosen = (action.module for action in _ACTIONS if getattr(arguments, action.name))
     module = import_module(f"otc_dist.replay.{next(chosen, 'summary')}")
     try:
@@ -107,6 +109,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="FILE", help="a deployment log (.mcap, .partial)"
     )
+    user_code.add_flag(parser)
     actions = parser.add_mutually_exclusive_group()
     for action in _ACTIONS:
         action.add_to(actions)

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from otc_dist import user_code
 from otc_dist.bus.agreement import longest_message
 from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
 from otc_dist.bus.history import Read
@@ -172,6 +173,7 @@ def _prepare_learners(
     try:
         folder.root.mkdir(parents=True, exist_ok=True)
         if not folder.description.exists():
+            user_code.require(*description.code)  # which those learners would run
             folder.description.write_text(description.to_toml(), encoding="utf-8")
             folder.run_json.write_text(json.dumps({"run": header.run}) + "\n", encoding="utf-8")
     except OSError as error:
