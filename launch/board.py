@@ -45,7 +45,7 @@ class Board:
             told = f"{measures['measured']:,.1f} ± {measures['error']:,.1f}"
             self.events.append(f"{status.process}: deployment {status.deployment} measured {told}")
         slowest = self._slowest()
-        if slowest is None or slowest.phase in ("done", "approval"):
+        if slowest is None:
             self.seconds_left = None
         else:
             share = slowest.update / slowest.total if slowest.total else 0.0
@@ -61,7 +61,7 @@ class Board:
     def _slowest(self) -> Status | None:
         """Who the others wait for: the agent that has trained least, or the host."""
         known = [self.newest[name] for name in self.agents if name in self.newest]
-        if len(known) < len(self.agents) or any(status.phase == "starting" for status in known):
+        if len(known) < len(self.agents) or any(s.phase in ("starting", "waiting") for s in known):
             return None
         training = [status for status in known if status.phase in TRAINING]
         if not training:
@@ -73,14 +73,21 @@ class Board:
 
     @property
     def busy(self) -> list[Status]:
-        """The statuses worth a line: of the agents that train, or else of the host."""
+        """The statuses whose progress is worth a line: of the agents that train, or else of the
+        host once it has begun; that it waits, for whom or what, is an event and told once.
+        """
         training = [
             self.newest[name]
             for name in self.agents
             if name in self.newest and self.newest[name].phase in TRAINING
         ]
         host = self.newest.get(HOST)
-        return training or ([host] if host else [])
+        return training or ([host] if host and host.update else [])
+
+    @property
+    def over(self) -> bool:
+        """Whether the env host has said that all is done."""
+        return HOST in self.newest and self.newest[HOST].phase == "done"
 
 
 TRAINING = ("offline", *FITS, "tuning")

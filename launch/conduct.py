@@ -21,7 +21,7 @@ from .closing import show_closing
 from .crew import MISTAKE, Crew, DiedError
 from .forecast import Remaining
 from .keep import check_rewards
-from .observer import Sign, Waiting, observing
+from .observer import Sign, Waiting, nobody_of_run, observing
 from .plan import Plan
 from .run_record import RunRecord
 from .signals import Signals
@@ -49,7 +49,8 @@ def conduct(plan: Plan, record: RunRecord) -> int:
     if record.quick:
         title += f" ({descriptions.QUICK_LABEL})"
     print(f"{title}: {plan.folder.root}", flush=True)
-    for line in filter(None, (plan.place.meeting, plan.place.missing)):
+    strangers = nobody_of_run(plan, record.run)
+    for line in filter(None, (plan.place.meeting, plan.place.missing or strangers)):
         print(line, flush=True)
     for remark in registry.remarks(plan.description.env.id):
         print(f"{plan.description.env.id}: {remark}", flush=True)
@@ -130,7 +131,8 @@ def _run(
             while not signs.empty():
                 sign = signs.get()
                 if isinstance(sign, Waiting):
-                    view.say(sign.line)
+                    if not board.over:  # else nobody is awaited any more
+                        view.say(sign.line)
                     continue
                 crew.take(sign)
                 if isinstance(sign, Status):

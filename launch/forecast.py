@@ -100,9 +100,14 @@ def _trained(description: Description, updates: int, selection: float) -> float:
     return (updates * each + improvements * IMPROVEMENT[description.engine.name]) / 1000
 
 
-def parts(description: Description, team: TeamSpec) -> list[Part]:
-    """All parts of a run, in order. Agents share the cores while they train and act."""
-    agents = len(team.agents)
+def parts(description: Description, team: TeamSpec, here: int) -> list[Part]:
+    """All parts of a run, in order.
+
+    Args:
+        here: how many agents learn on this machine, and share its cores while they train and act.
+            Those of other machines are taken for as fast as one alone here.
+    """
+    agents = max(here, 1)
     cores = min(os.cpu_count() or 1, agents)
     sharing = agents / (cores if description.engine.name != "cuda-graph" else 1)
     evaluation = sharing * judging(description, team)
@@ -131,8 +136,12 @@ class Remaining:
         self._run = run
         self._first: tuple[float, float] | None = None  # (clock, forecast seconds done) then
 
-    def seconds(self, phase: str, deployment: int, share: float, clock: float) -> float:
-        """To go when `share` of (phase, deployment) is done at `clock` seconds."""
+    def seconds(self, phase: str, deployment: int, share: float, clock: float) -> float | None:
+        """To go when `share` of (phase, deployment) is done at `clock` seconds; None if that is no
+        part of the work, but a wait of which nobody knows how long it takes.
+        """
+        if (phase, deployment) not in {(part.phase, part.deployment) for part in self._run}:
+            return None
         total = sum(part.seconds for part in self._run)
         done = 0.0
         for part in self._run:
@@ -140,7 +149,7 @@ class Remaining:
                 done += part.seconds * share
                 break
             done += part.seconds
-        if self._first is None:
+        if self._first is None or done < self._first[1]:  # begun, or begun again further back
             self._first = (clock, done)
         start, before = self._first
         # Trust the table until some seconds have shown how this machine compares with it.

@@ -19,6 +19,7 @@ from .supervisor import End
 LIMIT = 5  # restarts of a process in a row that neither bring it further nor last
 LASTING = 60.0  # seconds
 FIRST_DELAY = 0.25  # seconds from a death to the restart; doubles with every restart in a row
+TELL_AFTER = 2.0  # seconds without a token after which it is said: a busy machine loses it for less
 FROZEN_AFTER = 3.0  # seconds without a token and without processor time
 
 State = Literal["starting", "up", "silent", "waiting", "ended"]
@@ -74,7 +75,7 @@ class Health:
     def __init__(self, names: Iterable[str], stuck_after: float, host_is_router: bool) -> None:
         self.lives = {name: Life() for name in names}
         self._stuck_after, self._host_is_router = stuck_after, host_is_router
-        self._linked, self._host_alive = False, False
+        self._linked, self._host_alive, self._over = False, False, False
         self.events: list[str] = []
 
     def started(self, name: str, pid: int, clock: float) -> None:
@@ -113,6 +114,8 @@ class Health:
 
     def take(self, status: Status, clock: float) -> None:
         """A process said what it does."""
+        if status.process == HOST:
+            self._over = status.phase == "done"
         life = self.lives.get(status.process)
         if life is None:
             return
@@ -155,8 +158,7 @@ class Health:
         """
         found = {}
         for name, life in self.lives.items():
-            # One that is done takes its token with it a moment before its end shows.
-            if life.state == "silent" and not life.told_silent and life.now[1] < _RANK["done"]:
+            if self._worth_telling(name, life, clock):
                 life.told_silent = True
                 self.events.append(f"{name}: is silent")
             if life.state == "silent" and self._judged(name):
@@ -169,6 +171,14 @@ class Health:
             if heard and clock - life.moved >= self._stuck_after:
                 found[name] = f"has made no progress for {self._stuck_after:g} s"
         return found
+
+    def _worth_telling(self, name: str, life: Life, clock: float) -> bool:
+        """Whether its silence lasts, is its own, and is not that of a run which is over: then all
+        take their tokens with them a moment before their ends show.
+        """
+        lasts = life.state == "silent" and clock - life.since >= TELL_AFTER
+        over = self._over or life.now[1] == _RANK["done"]
+        return lasts and not life.told_silent and not over and self._judged(name)
 
     def _judged(self, name: str) -> bool:
         """Whether a missing token speaks of the process, not of the way to it."""

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from otc_dist.bus.diagnosis import absence
+from otc_dist.bus.endpoints import Door
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.messages import Status
 from otc_dist.bus.session import Session
@@ -19,7 +20,7 @@ from .plan import Plan
 _PATIENCE = 2.0  # seconds of an attempt to connect
 _FAREWELL = 5.0  # seconds; a session closes within two
 _LOOK = 0.2  # seconds between two looks at whether there is a link to the bus
-TELL_EVERY = 30.0  # seconds without a link between two lines that say so
+TELL_EVERY = 30.0  # seconds without a link, or without the env host, between lines that say so
 
 
 class Token(NamedTuple):
@@ -36,7 +37,7 @@ class Link(NamedTuple):
 
 
 class Waiting(NamedTuple):
-    """The observer has had no link to the other hosts for a while: what it waits for."""
+    """There is no link to the other hosts, or no env host of this run there: whom it waits for."""
 
     line: str
 
@@ -58,6 +59,30 @@ def observing(plan: Plan, run: str, take: Callable[[Sign | Waiting], None]) -> I
         listener.join(_FAREWELL)
 
 
+def nobody_of_run(plan: Plan, run: str) -> str:
+    """One line if others are met where a learner is to meet its env host, but not that one: most
+    likely it has another --seed. "" if it is there, or nobody at all.
+    """
+    if plan.place.role != "learner":
+        return ""
+    there = threading.Event()
+    door, maximum = plan.place.observed_at(plan.folder.root), plan.description.bus.maximum_payload
+    try:
+        session = Session.connect(door, maximum, timeout=_PATIENCE)
+    except UserError:
+        return ""
+    with session:
+        session.watch_alive(Keys(run).alive(HOST), lambda alive: there.set() if alive else None)
+        return "" if there.wait(_PATIENCE) else _stranger(door, run)
+
+
+def _stranger(door: Door, run: str) -> str:
+    return (
+        f"waiting for {door.endpoint}: no env host of run {run!r} is there; does it run a"
+        " description of this name, with this --seed?"
+    )
+
+
 def _listen(
     plan: Plan, run: str, take: Callable[[Sign | Waiting], None], over: threading.Event
 ) -> None:
@@ -69,27 +94,34 @@ def _listen(
         return lambda alive: take(Token(process, alive))
 
     told = time.monotonic()  # the launcher has said at its start who is missing
+    alive = threading.Event()  # whether the env host's token is there
 
-    def tell() -> float:
+    def note_host(is_alive: bool) -> None:
+        (alive.set if is_alive else alive.clear)()
+        take(Token(HOST, is_alive))
+
+    def tell(linked: bool) -> float:
         if not plan.place.connect or time.monotonic() < told + TELL_EVERY:
             return told
         there = f"waiting for {door.endpoint}: somebody is there, but no link comes about"
-        take(Waiting(absence(door) or there))
+        take(Waiting(_stranger(door, run) if linked else absence(door) or there))
         return time.monotonic()
 
     while not over.is_set():
         try:
             session = Session.connect(door, maximum, timeout=_PATIENCE)
         except UserError:
-            told = tell()  # nobody listens yet
+            told = tell(linked=False)  # nobody listens yet
             continue
         with session:
             StatusBoard(session, keys, processes, Rejections(), take)
-            for process in processes:
+            session.watch_alive(keys.alive(HOST), note_host)
+            for process in plan.watched:
                 session.watch_alive(keys.alive(process), noting(process))
             linked = False
             while not over.wait(_LOOK):
                 if session.linked != linked:
                     linked = not linked
                     take(Link(linked))
-                told = time.monotonic() if linked else tell()
+                met = linked and (alive.is_set() or plan.place.role != "learner")
+                told = time.monotonic() if met else tell(linked)

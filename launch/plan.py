@@ -46,7 +46,7 @@ class Plan:
 
     @property
     def parts(self) -> list[forecast.Part]:
-        return forecast.parts(self.description, self.spec)
+        return forecast.parts(self.description, self.spec, len(self.learners))
 
     @property
     def learners(self) -> tuple[str, ...]:

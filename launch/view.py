@@ -5,6 +5,7 @@ from typing import Protocol, Self
 
 from rich.console import Console
 from rich.live import Live
+from rich.measure import Measurement
 from rich.table import Table
 
 from otc_dist.bus.keys import HOST
@@ -19,6 +20,9 @@ LINE_EVERY = 5.0  # seconds between two progress lines without a terminal
 
 # What samplers tell, its column and its format.
 _TOLD = (("alpha", "alpha", ".3f"), ("similarity", "𝔻", ".3f"), ("accepted", "accepted", ".1%"))
+_WIDEST = 1000  # characters that a table may want
+_WORDS = ("process", "health", "phase")  # headings of columns of words; all others are numbers
+_SPARE = ("rate /s", *(heading for _, heading, _ in reversed(_TOLD)), "return", "done", "health")
 
 
 class View(Protocol):
@@ -36,10 +40,10 @@ def open_view(title: str) -> View:
 
 
 class LineView:
-    """One line at each event, and a progress line at most every LINE_EVERY seconds."""
+    """One line at each event, and at most every LINE_EVERY seconds one of new progress."""
 
     def __init__(self) -> None:
-        self._last = 0.0
+        self._last, self._said = 0.0, ""
 
     def __enter__(self) -> Self:
         return self
@@ -55,8 +59,10 @@ class LineView:
             self.say(event)
         now = time.monotonic()
         if board.busy and now - self._last >= LINE_EVERY:
-            self._last = now
-            self.say(_progress_line(board))
+            self._last, before = now, self._said
+            self._said = ", ".join(map(_progress, board.busy))
+            if self._said != before:  # nothing is told twice
+                self.say(_progress_line(board))
 
 
 class TableView:
@@ -84,33 +90,41 @@ class TableView:
         self._live.update(self._table(board), refresh=True)
 
     def _table(self, board: Board) -> Table:
+        """With as many columns as the terminal has room for: the least telling are left out."""
         left = "" if board.seconds_left is None else forecast.duration(board.seconds_left)
         ran = forecast.duration(time.monotonic() - self._start)
-        table = Table(title=f"{self._title} · {ran} so far" + (f", {left} to go" if left else ""))
-        table.add_column("process")
-        table.add_column("health")
-        table.add_column("phase")
-        known = {name for measures in board.measures.values() for name in measures}
-        told = [(name, label, style) for name, label, style in _TOLD if name in known]
-        for name in ("done", "of", "rate /s", "return", *(label for _, label, _ in told)):
-            table.add_column(name, justify="right")
-        now = time.monotonic()
-        for process in (HOST, *board.agents):
-            status = board.newest.get(process, Status(process))
-            measures = board.measures.get(process, {})
-            table.add_row(
-                process,
-                health(board.lives.get(process), now),
-                place(status),
-                f"{status.update:,}" if status.total else "",
-                f"{status.total:,}" if status.total else "",
-                f"{status.rate:,.0f}" if status.total else "",
-                *(
-                    format(measures[name], style) if name in measures else ""
-                    for name, style in (("return", ".1f"), *((n, s) for n, _, s in told))
-                ),
-            )
+        title = f"{self._title} · {ran} so far" + (f", {left} to go" if left else "")
+        columns = _columns(board)
+        for name in ("", *_SPARE):
+            columns.pop(name, None)
+            table = Table(title=title)
+            for heading in columns:
+                table.add_column(heading, justify="left" if heading in _WORDS else "right")
+            for row in zip(*columns.values(), strict=True):
+                table.add_row(*row)
+            anywhere = self._console.options.update(max_width=_WIDEST)
+            if Measurement.get(self._console, anywhere, table).maximum <= self._console.width:
+                break
         return table
+
+
+def _columns(board: Board) -> dict[str, list[str]]:
+    """All that is known, by heading: a cell for the host, and one for each agent."""
+    processes, now = (HOST, *board.agents), time.monotonic()
+    statuses = [board.newest.get(process, Status(process)) for process in processes]
+    known = {name for measures in board.measures.values() for name in measures}
+    columns = {
+        "process": list(processes),
+        "health": [health(board.lives.get(process), now) for process in processes],
+        "phase": [place(status) for status in statuses],
+        "done": [f"{s.update:,}/{s.total:,}" if s.total else "" for s in statuses],
+        "rate /s": [f"{s.rate:,.0f}" if s.total else "" for s in statuses],
+    }
+    for name, heading, style in (("return", "return", ".1f"), *_TOLD):
+        if name in known:
+            found = [board.measures.get(process, {}) for process in processes]
+            columns[heading] = [format(m[name], style) if name in m else "" for m in found]
+    return columns
 
 
 def health(life: Life | None, clock: float) -> str:
@@ -122,11 +136,14 @@ def health(life: Life | None, clock: float) -> str:
     return told + (f", restarts {life.restarts}" if life.restarts else "")
 
 
+def _progress(status: Status) -> str:
+    done = f" {status.update:,}/{status.total:,}" if status.total else ""
+    return f"{status.process} {place(status)}{done}"
+
+
 def _progress_line(board: Board) -> str:
     told = [
-        f"{status.process} {place(status)}"
-        + (f" {status.update:,}/{status.total:,}" if status.total else "")
-        + (f" ({status.rate:,.0f}/s)" if status.rate else "")
+        _progress(status) + (f" ({status.rate:,.0f}/s)" if status.rate else "")
         for status in board.busy
     ]
     left = "" if board.seconds_left is None else f" · {forecast.duration(board.seconds_left)} to go"

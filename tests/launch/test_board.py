@@ -1,6 +1,9 @@
 """What the launcher makes of statuses: events, who is waited for, and the time to go."""
 
+import io
+
 import pytest
+from rich.console import Console
 
 from otc_dist.bus.messages import Status
 from otc_dist.envs import registry
@@ -8,6 +11,7 @@ from otc_dist.launch import descriptions, forecast
 from otc_dist.launch.board import Board
 from otc_dist.launch.forecast import Part, Remaining
 from otc_dist.launch.resolve import resolve
+from otc_dist.launch.view import LineView, TableView
 
 RUN = [Part("offline", 0, 100.0), Part("deployment", 1, 10.0), Part("tuning", 1, 90.0)]
 
@@ -80,10 +84,82 @@ def test_the_time_to_go_follows_what_the_machine_does() -> None:
     assert 180.0 < left < 200.0
 
 
+def test_nothing_is_estimated_while_somebody_is_awaited() -> None:
+    """Else the whole offline training would count as done, and the rest as slow without end."""
+    seen = board()
+    for phase in ("waiting", "starting"):
+        for clock, agent in enumerate(("agent_0", "agent_1")):
+            seen.take(status("host", "gathering"), clock=float(clock))
+            seen.take(status(agent, phase), clock=float(clock))
+            seen.take(status("host", "evaluation", 0), clock=float(clock))
+            assert seen.seconds_left is None
+    for agent in ("agent_0", "agent_1"):
+        seen.take(status(agent, "offline", update=50), clock=10.0)
+    assert seen.seconds_left == pytest.approx(150.0)
+    seen.take(status("agent_0", "ready"), clock=20.0)
+    seen.take(status("agent_1", "ready"), clock=20.0)
+    seen.take(status("host", "gathering"), clock=20.0)
+    assert seen.seconds_left is None
+
+
+def test_who_begins_again_further_back_is_not_taken_for_slow() -> None:
+    remaining = Remaining(RUN)
+    remaining.seconds("deployment", 1, 0.0, clock=0.0)
+    assert remaining.seconds("offline", 0, 0.0, clock=100.0) == pytest.approx(200.0)
+
+
+def test_agents_of_other_machines_do_not_share_our_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("otc_dist.launch.forecast.os.cpu_count", lambda: 2)
+    description = resolve(descriptions.load("3agent_hopper", ["engine.name=eager"], None, True))
+    team = registry.team_spec(description.env.id)
+    offline = {n: forecast.parts(description, team, n)[1].seconds for n in (0, 1, 3)}
+    assert offline[0] == offline[1] == pytest.approx(offline[3] / 1.5)
+
+
+def test_a_wait_is_told_once_and_progress_as_it_comes(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("otc_dist.launch.view.LINE_EVERY", 0.0)
+    seen, view = board(), LineView()
+    for phase, update in [("gathering", 0)] * 3 + [("evaluation", 0)] * 3 + [("evaluation", 7)] * 2:
+        seen.take(status("host", phase, update=update), clock=0.0)
+        view.show(seen)
+    seen.take(status("host", "done"), clock=0.0)
+    view.show(seen)
+    view.show(seen)
+    assert capsys.readouterr().out.splitlines() == [
+        "host: waiting for the learners to come",
+        "host: evaluation, policy 0",
+        "host evaluation, policy 0 7/100 (5/s)",
+        "host: done",
+    ]
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_the_table_fits_the_terminal(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"COLUMNS": str(width), "TERM": "xterm", "NO_COLOR": "1"}.items():
+        monkeypatch.setenv(name, value)
+    seen, stream = board(), io.StringIO()
+    told = {"alpha": 1.25, "similarity": 0.5, "return": 2532.1}
+    for agent in seen.agents:
+        seen.take(status(agent, "tuning", 10, update=70, **told), clock=0.0)
+    seen.take(status("host", "evaluation", 10, **{"return": 2532.1}), clock=0.0)
+    view = TableView("3agent_hopper")
+    console = Console(file=stream, width=width)
+    monkeypatch.setattr(view, "_console", console)
+    console.print(view._table(seen))
+    lines = stream.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    for agent in seen.agents:  # each in one line, the most telling first
+        (row,) = [line for line in lines if agent in line]
+        assert "tuning after deployment 10" in row and "70/100" in row
+        assert ("0.500" in row) == (width == 200)
+
+
 def test_a_plan_s_parts_cover_the_run_in_order() -> None:
     description = resolve(descriptions.load("3agent_hopper", ["engine.name=eager"], None, True))
     team = registry.team_spec(description.env.id)
-    names = [(part.phase, part.deployment) for part in forecast.parts(description, team)]
+    names = [(part.phase, part.deployment) for part in forecast.parts(description, team, 3)]
     assert names == [
         ("start", 0), ("offline", 0), ("dynamics", 0), ("evaluation", 0),
         ("deployment", 1), ("tuning", 1), ("evaluation", 1),

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from otc_dist.bus.messages import Status
-from otc_dist.launch.health import FIRST_DELAY, FROZEN_AFTER, LASTING, LIMIT, Health
+from otc_dist.launch.health import FIRST_DELAY, FROZEN_AFTER, LASTING, LIMIT, TELL_AFTER, Health
 from otc_dist.launch.supervisor import End
 
 DEADLINE = 30.0
@@ -43,7 +43,8 @@ def test_a_process_is_up_when_its_token_is_there() -> None:
 
 def test_a_silent_process_that_does_nothing_is_frozen(health: Health) -> None:
     health.take_token("agent_0", False, 1.0)
-    assert health.lost(1.0, at_rest) == {}
+    assert health.lost(1.0, at_rest) == {} and health.events == []
+    assert health.lost(1.0 + TELL_AFTER, at_rest) == {}
     assert health.events == ["agent_0: is silent"]
     assert health.lost(1.0 + FROZEN_AFTER, at_rest) == {"agent_0": "is frozen"}
 
@@ -62,10 +63,40 @@ def test_where_no_processor_time_is_known_silence_counts_alone(health: Health) -
 
 def test_a_process_that_is_back_is_well(health: Health) -> None:
     health.take_token("agent_0", False, 1.0)
-    assert health.lost(1.0, at_rest) == {}
-    health.take_token("agent_0", True, 2.0)
+    assert health.lost(1.0 + TELL_AFTER, at_rest) == {}
+    health.take_token("agent_0", True, 3.5)
     assert health.lost(10.0, at_rest) == {}
     assert health.events == ["agent_0: is silent", "agent_0: is back"]
+
+
+def test_a_short_silence_is_not_worth_a_line(health: Health) -> None:
+    health.take_token("agent_0", False, 1.0)
+    health.lost(0.9 + TELL_AFTER, at_rest)
+    health.take_token("agent_0", True, 0.9 + TELL_AFTER)
+    health.lost(9.0, at_rest)
+    assert health.events == []
+
+
+def test_when_all_is_done_nobody_is_called_silent(health: Health) -> None:
+    """Nor where the env host is on another machine."""
+    apart = Health(("agent_0",), DEADLINE, host_is_router=True)
+    apart.take_token("host", True, 0.0)
+    apart.started("agent_0", 100, 0.0)
+    apart.take_token("agent_0", True, 0.0)
+    for one in (health, apart):
+        one.take(Status("agent_0", "ready", 2), 1.0)
+        one.take(Status("host", "done", 2), 1.0)
+        one.take_token("agent_0", False, 1.0)
+        one.lost(1.0 + TELL_AFTER, lambda pid: None)
+        one.take_token("agent_0", True, 1.5 + TELL_AFTER)
+        assert one.events == []
+
+
+def test_with_the_host_all_tokens_go_and_it_alone_is_called_silent(health: Health) -> None:
+    for name in ("host", "agent_0"):
+        health.take_token(name, False, 1.0)
+    health.lost(1.0 + TELL_AFTER, at_rest)
+    assert health.events == ["host: is silent"]
 
 
 def test_without_the_host_only_the_host_is_judged(health: Health) -> None:

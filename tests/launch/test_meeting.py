@@ -9,13 +9,13 @@ import pytest
 from otc_dist import certs
 from otc_dist.bus.endpoints import Door, door
 from otc_dist.bus.identity import Identity
-from otc_dist.bus.keys import HOST
+from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.session import Session
 from otc_dist.errors import UserError
 from otc_dist.launch import observer
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.observer import Link, Sign, Waiting, observing
+from otc_dist.launch.observer import Link, Sign, Token, Waiting, nobody_of_run, observing
 from otc_dist.launch.plan import Plan
 from otc_dist.launch.run_record import RunRecord
 from otc_dist.run_folder import RunFolder
@@ -117,19 +117,46 @@ def test_whom_it_waits_for_is_said_from_time_to_time_until_the_link_is_there(
 ) -> None:
     signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
 
-    def until(kind: type[Link | Waiting]) -> Link | Waiting:
-        while not isinstance(sign := signs.get(timeout=PATIENCE), kind):
-            pass
-        return sign
+    def until(*wanted: Link | Token) -> list[Sign | Waiting]:
+        """What came until all of these had come."""
+        came: list[Sign | Waiting] = []
+        while not set(wanted) <= set(came):
+            came.append(signs.get(timeout=PATIENCE))
+        return came
+
+    def waits() -> bool:
+        came = signs.get(timeout=PATIENCE)
+        return isinstance(came, Waiting) and came.line.startswith(said)
 
     monkeypatch.setattr(observer, "TELL_EVERY", 0.0)
     said = f"waiting for tls/127.0.0.1:{port}: nobody answers there yet"
+    own = door(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)
     with observing(plan, "a-run", signs.put):
-        for _ in range(2):
-            assert str(until(Waiting)).startswith(f"Waiting(line='{said}")
-        with Session.listen(
-            [door(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)], QUICK_PAYLOAD
-        ):
-            assert until(Link) == Link(up=True)
-        assert signs.get(timeout=PATIENCE) == Link(up=False)  # and nothing between
-        until(Waiting)  # the env host has gone
+        assert waits() and waits()
+        with Session.listen([own], QUICK_PAYLOAD) as session:
+            session.declare_alive(Keys("a-run").alive(HOST))
+            until(Link(up=True), Token(HOST, alive=True))
+        between = until(Link(up=False), Token(HOST, alive=False))
+        assert not [sign for sign in between if said in str(sign)]
+        while not waits():  # the env host has gone
+            pass
+
+
+def test_a_learner_of_another_seed_is_told_at_once_and_from_time_to_time(
+    plan: Plan, folder: Path, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(observer, "TELL_EVERY", 0.0)
+    monkeypatch.setattr(observer, "_PATIENCE", 1.0)  # somebody is there already
+    own = door(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)
+    said = (
+        f"waiting for tls/127.0.0.1:{port}: no env host of run '3agent_hopper-seed1' is there;"
+        " does it run a description of this name, with this --seed?"
+    )
+    signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
+    with Session.listen([own], QUICK_PAYLOAD) as session:
+        session.declare_alive(Keys("3agent_hopper-seed0").alive(HOST))
+        assert nobody_of_run(plan, "3agent_hopper-seed0") == ""
+        assert nobody_of_run(plan, "3agent_hopper-seed1") == said
+        with observing(plan, "3agent_hopper-seed1", signs.put):
+            found = [signs.get(timeout=PATIENCE) for _ in range(4)]
+    assert found.count(Waiting(said)) == 3 and Link(up=True) in found
