@@ -110,7 +110,7 @@ def _agents(target: Callable[..., None], *arguments: object) -> Iterator[None]:
 def _our_agent(index: int, endpoint: str) -> None:
     agent = TEAM.agents[index]
     with Session.connect(Door(endpoint), QUICK_PAYLOAD) as session:
-        side = LearnerLockstep(session, Keys("bench"), agent, COPIES, Rejections())
+        side = LearnerLockstep(session, Keys("bench", "digest"), agent, COPIES, Rejections())
         while True:
             asked = side.question(60.0)
             if asked is not None and asked.observations is not None:
@@ -124,7 +124,9 @@ def ours(folder: Path) -> Iterator[Step]:
     writer = LogWriter.create(folder / "bench.mcap", header)
     seeds, state = np.zeros(1, np.int64), np.zeros((1, TEAM.state_size))
     with Session.listen([Door(endpoint)], QUICK_PAYLOAD) as session, closing(writer):
-        host = HostLockstep(session, Keys("bench"), TEAM.agents, COPIES, 60.0, Rejections())
+        host = HostLockstep(
+            session, Keys("bench", "digest"), TEAM.agents, COPIES, 60.0, Rejections()
+        )
 
         def step(number: int) -> None:
             answers = host.ask([question(index, number) for index in AGENTS], acting=True)

@@ -25,7 +25,7 @@ from .observer import Sign, Waiting, nobody_of_run, observing
 from .plan import Plan
 from .run_record import RunRecord
 from .signals import Signals
-from .supervisor import End, Supervisor
+from .supervisor import Supervisor
 from .view import View, open_view
 from .vital_signs import VitalSigns
 
@@ -88,7 +88,7 @@ def conduct(plan: Plan, record: RunRecord) -> int:
         except DiedError as died:
             record.moved_to("failed", plan.folder)
             if not died.told:
-                _explain(died.end, died.restarts)
+                _explain(died)
             print(go_on)
             return MISTAKE if died.end.status == MISTAKE else 1
     return 0
@@ -106,7 +106,7 @@ def _complete(
             signals.wait(REFRESH)
             for end in supervisor.ended():
                 if end.status != 0:  # its standard error was shown as it came
-                    raise DiedError(end, told=end.status == MISTAKE)
+                    raise DiedError(end, end.manner, told=end.status == MISTAKE)
 
 
 def _run(
@@ -178,13 +178,13 @@ def _discard_damaged(plan: Plan) -> str:
     return found
 
 
-def _explain(end: End, restarts: int) -> None:
-    lines = end.last_lines()
+def _explain(died: DiedError) -> None:
+    end, lines = died.end, died.end.last_lines()
     if lines and lines[-1].startswith("error: "):  # it could say itself what was wrong
         print(f"error: {end.process}: {lines[-1].removeprefix('error: ')}", file=sys.stderr)
         return
-    again = f", also after {restarts} restarts" if restarts else ""
-    print(f"error: {end.process} {end.manner}{again}; all others were stopped", file=sys.stderr)
+    again = f", also after {died.restarts} restarts" if died.restarts else ""
+    print(f"error: {end.process} {died.manner}{again}; all others were stopped", file=sys.stderr)
     if lines:
         print(f"its last lines ({end.output}):", file=sys.stderr)
         for line in lines:

@@ -7,20 +7,24 @@ from otc_dist.bus.keys import HOST
 from .health import FROZEN_AFTER, Health
 from .observer import Link, Sign, Token
 from .plan import Plan
-from .supervisor import End, Supervisor, processor_time
+from .supervisor import End, Supervisor, processor_time, queued
 
 MISTAKE = 2  # exit status of a process that met what only the user can mend
+# Of bus.answer_deadline: who stands still so long is started again, before the others give it up.
+_STUCK = 0.75
 
 
 class DiedError(Exception):
     """A process ended, and starting it again is of no use.
 
-    `told`: the user has seen the line in which the process itself said why.
+    Attributes:
+        manner: how it ended, in words.
+        told: the user has seen the line in which the process itself said why.
     """
 
-    def __init__(self, end: End, restarts: int = 0, told: bool = False) -> None:
+    def __init__(self, end: End, manner: str, restarts: int = 0, told: bool = False) -> None:
         super().__init__(end.process)
-        self.end, self.restarts, self.told = end, restarts, told
+        self.end, self.manner, self.restarts, self.told = end, manner, restarts, told
 
 
 class Crew:
@@ -32,8 +36,8 @@ class Crew:
     def __init__(self, plan: Plan, supervisor: Supervisor) -> None:
         self._plan, self._supervisor = plan, supervisor
         self._commands = {process.name: process.command for process in plan.processes}
-        deadline = plan.description.bus.answer_deadline
-        self.health = Health(self._commands, deadline, host_is_router=plan.place.host_is_router)
+        stuck_after = _STUCK * plan.description.bus.answer_deadline
+        self.health = Health(self._commands, stuck_after, host_is_router=plan.place.host_is_router)
         self._due = dict.fromkeys(self._commands, 0.0)  # to be started -> when
         self._finished: set[str] = set()  # ended well
         self._looked = time.monotonic()
@@ -78,7 +82,7 @@ class Crew:
                 self.health.ended(end.process, now)
             else:
                 self._start_again(end, now)
-        for name, why in self.health.lost(now, processor_time).items():
+        for name, why in self.health.lost(now, processor_time, queued).items():
             self.health.events.append(f"{name}: {why}; killed")
             self._supervisor.kill(name)
         return self._finished
@@ -86,7 +90,8 @@ class Crew:
     def _start_again(self, end: End, now: float) -> None:
         delay = None if end.status == MISTAKE else self.health.died(end, now)
         if delay is None:
-            raise DiedError(end, self.health.lives[end.process].vain)
+            life = self.health.lives[end.process]
+            raise DiedError(end, life.last_end or end.manner, life.vain)
         self._due[end.process] = now + delay
         if end.process == HOST:  # it will ask those that had left already once more
             self._due |= dict.fromkeys(self._finished, now + delay)

@@ -2,7 +2,9 @@
 
 A process that can no longer run (frozen, or its machine is cut off) loses its liveliness token
 with the lease of its link, 1.5 s. If it is also seen to use no processor time, it is frozen, and
-is to be killed. A process whose heartbeat goes on while its work does not is stuck.
+is to be killed. A process whose heartbeat goes on while its work does not is stuck. Whose work it
+is that is waited for, the env host tells: its own, or that of the agents that it names. Time in
+which a process was kept from running by others does not count: a busy machine makes nobody stuck.
 """
 
 from collections.abc import Callable, Iterable
@@ -21,6 +23,8 @@ LASTING = 60.0  # seconds
 FIRST_DELAY = 0.25  # seconds from a death to the restart; doubles with every restart in a row
 TELL_AFTER = 2.0  # seconds without a token after which it is said: a busy machine loses it for less
 FROZEN_AFTER = 3.0  # seconds without a token and without processor time
+LEAVING = 30.0  # seconds that a process may take to end when all is done
+_FRESH = 3.0  # seconds for which is believed whom the env host said it waits for
 
 State = Literal["starting", "up", "silent", "waiting", "ended"]
 
@@ -29,6 +33,8 @@ _ORDER = {"starting": 0, "offline": 1, **dict.fromkeys(FITS, 2), "approval": 2}
 _LATER = {"deployment": 3, "tuning": 3, "evaluation": 4, "ready": 5, "done": 6}
 _RANK = {**_ORDER, **_LATER}
 Position = tuple[int, int, int]  # deployment, rank of the phase, update
+# In these a process must get further by itself; the env host in them only while it waits for none.
+_WORKING = BUSY | {"deployment", "evaluation", "done"}
 
 
 @dataclass
@@ -49,12 +55,20 @@ class Life:
     vain: int = 0
     last_end: str = ""
     furthest: Position = (0, 0, 0)
-    now: Position = (0, 0, 0)
-    moved: float = 0.0  # clock at which `now` last changed
-    busy: bool = True
+    now: Status | None = None  # what it said last
+    heard: float = 0.0  # clock at which it said it
+    moved: float = 0.0  # clock at which it last said anything new of its work
+    queued: float = 0.0  # seconds that it has waited for a processor, since it was started
+    excused: float = 0.0  # those since `moved`
+    condemned: str = ""  # why it was to be killed
     idle_since: float = 0.0  # clock at which its processor time last changed, while silent
     processor: int = -1
     told_silent: bool = False
+
+    @property
+    def working(self) -> bool:
+        """Whether it must get further by itself now; not heard of yet, it must come."""
+        return self.now is None or (self.now.phase in _WORKING and not self.now.awaits)
 
     def enter(self, state: State, clock: float) -> None:
         self.told_silent = self.told_silent and state == self.state
@@ -67,7 +81,7 @@ class Health:
 
     Args:
         names: of the processes.
-        stuck_after: seconds that a busy process may take between two signs of progress.
+        stuck_after: seconds that a process whose turn it is may take between two signs of progress.
         host_is_router: the env host's session carries the bus, so that a lost link means that
             the env host is silent; otherwise it says nothing about anybody.
     """
@@ -76,12 +90,16 @@ class Health:
         self.lives = {name: Life() for name in names}
         self._stuck_after, self._host_is_router = stuck_after, host_is_router
         self._linked, self._host_alive, self._over = False, False, False
+        self._host: Status | None = None  # what the env host said last, wherever it runs
+        self._host_heard = -_FRESH
+        self._awaited: dict[str, float] = {}  # whom it waits for, and since when
+        self._rejected: dict[str, float] = {}  # what it had rejected then, by reason
         self.events: list[str] = []
 
     def started(self, name: str, pid: int, clock: float) -> None:
         life = self.lives[name]
-        life.pid, life.born, life.moved, life.busy = pid, clock, clock, True
-        life.now = (0, 0, 0)
+        life.pid, life.born, life.moved, life.heard = pid, clock, clock, clock
+        life.now, life.condemned, life.queued, life.excused = None, "", 0.0, 0.0
         life.enter("starting", clock)
 
     def take_token(self, name: str, alive: bool, clock: float) -> None:
@@ -108,7 +126,7 @@ class Health:
     def forgive(self, clock: float) -> None:
         """Count silence and standstill from now on: nothing could be heard until now."""
         for life in self.lives.values():
-            life.moved = clock
+            life.moved = life.heard = clock
             if life.state == "silent":
                 life.enter("silent", clock)
 
@@ -116,20 +134,31 @@ class Health:
         """A process said what it does."""
         if status.process == HOST:
             self._over = status.phase == "done"
+            self._take_host(status, clock)
         life = self.lives.get(status.process)
         if life is None:
             return
+        if life.now is None or _work(status) != _work(life.now):
+            life.moved, life.excused = clock, 0.0
+        life.now, life.heard = status, clock
         position = (status.deployment, _RANK.get(status.phase, 0), status.update)
-        life.busy = status.phase in BUSY
-        if position != life.now:
-            life.now, life.moved = position, clock
         if position > life.furthest:
             life.furthest, life.vain = position, 0
+
+    def _take_host(self, status: Status, clock: float) -> None:
+        """Note for whom the env host waits, and since when with this very question."""
+        before = self._host
+        if before is None or _work(status)[:-1] != _work(before)[:-1] or not status.awaits:
+            self._awaited, self._rejected = {}, _rejected(before or status)
+        self._awaited = {name: self._awaited.get(name, clock) for name in status.awaits}
+        self._host, self._host_heard = status, clock
 
     def died(self, end: End, clock: float) -> float | None:
         """Seconds until it is to be started again; None if that has been tried often enough."""
         life = self.lives[end.process]
         life.last_end = end.manner
+        if life.condemned:
+            life.last_end += f", since it {life.condemned}"
         if life.moved - life.born >= LASTING:  # not if it only waited for so long
             life.vain = 0
         if life.vain == LIMIT:
@@ -138,9 +167,9 @@ class Health:
         life.vain += 1
         life.restarts += 1
         life.enter("waiting", clock)
-        said = "".join(f" ({line})" for line in end.last_lines(1))
+        said = "" if life.condemned else "".join(f" ({line})" for line in end.last_lines(1))
         self.events.append(
-            f"{end.process}: {end.manner}{said}; starts again in {delay:g} s"
+            f"{end.process}: {life.last_end}{said}; starts again in {delay:g} s"
             f" ({life.vain} of {LIMIT})"
         )
         return delay
@@ -149,15 +178,22 @@ class Health:
         """It has ended well."""
         self.lives[name].enter("ended", clock)
 
-    def lost(self, clock: float, processor_time: Callable[[int], int | None]) -> dict[str, str]:
+    def lost(
+        self,
+        clock: float,
+        processor_time: Callable[[int], int | None],
+        queued: Callable[[int], float] = lambda _: 0.0,
+    ) -> dict[str, str]:
         """The processes to be killed: name -> why.
 
         Args:
             processor_time: what a process has used; None if that is not known: then its silence
                 alone counts.
+            queued: seconds that its main thread has waited for a processor; 0 if that is not known.
         """
         found = {}
         for name, life in self.lives.items():
+            self._excuse(name, life, clock, queued(life.pid))
             if self._worth_telling(name, life, clock):
                 life.told_silent = True
                 self.events.append(f"{name}: is silent")
@@ -167,9 +203,12 @@ class Health:
                     life.idle_since, life.processor = clock, used
                 elif clock - life.idle_since >= FROZEN_AFTER:
                     found[name] = "is frozen"
-            heard = self._linked and life.state in ("starting", "up") and life.busy
-            if heard and clock - life.moved >= self._stuck_after:
-                found[name] = f"has made no progress for {self._stuck_after:g} s"
+            elif life.state in ("starting", "up") and (why := self._stuck(name, life, clock)):
+                found[name] = why
+        for name in [name for name in found if self.lives[name].condemned]:
+            del found[name]  # it is being killed already
+        for name, why in found.items():
+            self.lives[name].condemned = why
         return found
 
     def _worth_telling(self, name: str, life: Life, clock: float) -> bool:
@@ -177,11 +216,61 @@ class Health:
         take their tokens with them a moment before their ends show.
         """
         lasts = life.state == "silent" and clock - life.since >= TELL_AFTER
-        over = self._over or life.now[1] == _RANK["done"]
+        over = self._over or (life.now is not None and life.now.phase == "done")
         return lasts and not life.told_silent and not over and self._judged(name)
+
+    def _stuck(self, name: str, life: Life, clock: float) -> str:
+        """What a process that can run has failed to do for too long; empty: nothing."""
+        after, still = self._stuck_after, clock - life.moved - life.excused
+        if not self._linked:  # nothing can be heard; where the env host is to carry that, it is due
+            due = name == HOST and self._host_is_router and life.state == "starting"
+            return f"has not come for {after:g} s" if due and still >= after else ""
+        if clock - life.heard - life.excused >= after:
+            return f"has said nothing for {after:g} s"
+        if life.working:
+            if life.now is not None and life.now.phase == "done":
+                after = max(after, LEAVING)
+            return f"has made no progress for {after:g} s" if still >= after else ""
+        since = self._awaited.get(name)
+        if since is None or clock - self._host_heard >= _FRESH:
+            return ""
+        if min(clock - since, still) < after:
+            return ""
+        return f"has given the env host no answer for {after:g} s{self._refusals()}"
+
+    def _excuse(self, name: str, life: Life, clock: float, queued: float) -> None:
+        """Do not count against a process the time in which others kept it from running."""
+        more = max(0.0, queued - life.queued)
+        life.queued = queued
+        life.excused += more
+        if name in self._awaited:
+            self._awaited[name] = min(clock, self._awaited[name] + more)
+
+    def _refusals(self) -> str:
+        """In brackets, what the env host has rejected since it waits for the same answer."""
+        assert self._host is not None
+        now = _rejected(self._host)
+        grown = {name: n - self._rejected.get(name, 0.0) for name, n in now.items()}
+        told = ", ".join(f"{name} {n:.0f}" for name, n in grown.items() if n > 0)
+        return f" that it could take ({told} rejected)" if told else ""
 
     def _judged(self, name: str) -> bool:
         """Whether a missing token speaks of the process, not of the way to it."""
         if self._host_is_router:
             return name == HOST or self._host_alive
         return self._linked
+
+
+def _work(status: Status) -> tuple[object, ...]:
+    """What changes while a process, or who it waits for, gets further."""
+    return status.phase, status.deployment, status.update, status.awaits
+
+
+def _rejected(status: Status) -> dict[str, float]:
+    """How many messages a process says to have rejected, by reason."""
+    prefix = "rejected/"
+    return {
+        name.removeprefix(prefix): n
+        for name, n in status.metrics.items()
+        if name.startswith(prefix)
+    }

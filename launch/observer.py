@@ -72,7 +72,8 @@ def nobody_of_run(plan: Plan, run: str) -> str:
     except UserError:
         return ""
     with session:
-        session.watch_alive(Keys(run).alive(HOST), lambda alive: there.set() if alive else None)
+        keys = Keys(run, plan.description.shared_digest())
+        session.watch_alive(keys.alive(HOST), lambda alive: there.set() if alive else None)
         return "" if there.wait(_PATIENCE) else _stranger(door, run)
 
 
@@ -88,7 +89,7 @@ def _listen(
 ) -> None:
     door = plan.place.observed_at(plan.folder.root)
     maximum, processes = plan.description.bus.maximum_payload, (HOST, *plan.watched)
-    keys = Keys(run)
+    keys = Keys(run, plan.description.shared_digest())
 
     def noting(process: str) -> Callable[[bool], None]:
         return lambda alive: take(Token(process, alive))

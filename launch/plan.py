@@ -164,7 +164,8 @@ def make(description: Description, folder: RunFolder, run: str, place: Place) ->
     Raises:
         UserError: an unknown environment.
     """
-    spec, keys = registry.team_spec(description.env.id), Keys(run)
+    spec = registry.team_spec(description.env.id)
+    keys = Keys(run, description.shared_digest())
 
     def process(name: str) -> Process:
         host = name == HOST

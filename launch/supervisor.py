@@ -151,6 +151,14 @@ def processor_time(pid: int) -> int | None:
         return None
 
 
+def queued(pid: int) -> float:
+    """Seconds that a process's main thread was ready to run and others ran; 0 if nothing tells."""
+    try:
+        return int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) / 1e9
+    except (OSError, ValueError, IndexError):  # it may have ended
+        return 0.0
+
+
 def _signal_group(leader: int, number: signal.Signals) -> None:
     with contextlib.suppress(ProcessLookupError):  # all of it has ended already
         os.killpg(leader, number)

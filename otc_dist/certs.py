@@ -23,7 +23,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from otc_dist.bus.access import router_rules
 from otc_dist.bus.addresses import HOST_FORM, is_host
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
-from otc_dist.bus.keys import HOST, OBSERVER, Keys
+from otc_dist.bus.keys import ANY, HOST, OBSERVER, Keys
 from otc_dist.errors import UserError, run_main
 from otc_dist.parser import Parser
 
@@ -53,7 +53,7 @@ def main(argv: list[str]) -> int:
         raise UserError("--agents and --days must be 1 or more")
     agents = [f"agent_{index}" for index in range(arguments.agents)]
     if arguments.rules:
-        rules = router_rules(Keys(arguments.rules), agents)
+        rules = router_rules(Keys(arguments.rules, ANY), agents)
         print(json.dumps({"access_control": rules}, indent=1))
         return 0
     for line in make(arguments.folder, agents, arguments.host or own_names(), arguments.days):

@@ -4,7 +4,6 @@ It is the centre of the bus's star. Its log is written ahead of what it publishe
 be killed at any moment: started again, it goes on where the log ends.
 """
 
-import argparse
 import json
 import logging
 import math
@@ -14,7 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from otc_dist import durable, inputs
-from otc_dist.bus.access import host_rules
 from otc_dist.bus.endpoints import remove_local_endpoint
 from otc_dist.bus.handshake import offer
 from otc_dist.bus.keys import HOST
@@ -29,12 +27,13 @@ from otc_dist.deployment_log.header import LogHeader, versions
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
+from otc_dist.host_state import HostState
 from otc_dist.transitions import Float32, JointStep
 
 from .gate import Gate
 from .history import history_of
-from .host_state import HostState
-from .process import FailureError, Run, door_at, parser, patience, serve
+from .host_bus import open_bus
+from .process import FailureError, Run, parser, serve
 from .resimulation import resimulate
 
 log = logging.getLogger(__name__)
@@ -54,6 +53,7 @@ class EnvHost:
         self._rejections = Rejections()
         self._schedule = run.schedule
         self._state = HostState.begin(self._folder)
+        self._presence = Presence(session, run.keys, run.team.names)
         self._lockstep = HostLockstep(
             session,
             run.keys,
@@ -61,11 +61,12 @@ class EnvHost:
             run.copies,
             run.description.bus.answer_deadline,
             self._rejections,
+            self._presence.changed,
         )
-        self._phase, self._deployment, self._step, self._total = "starting", 0, 0, 0
+        self._phase, self._deployment, self._total = "starting", 0, 0
+        self._rollout: Rollout | None = None  # of the phase under way
         self._metrics: dict[str, float] = {}
         self.heartbeat = Heartbeat(session, run.keys, HOST, self._rejections, self._status)
-        self._presence = Presence(session, run.keys, run.team.names)
         for agent in run.team.names:
             session.answer(run.keys.history(agent), history_of(run, agent, self._rejections))
         offer(session, run.keys, run.spec)
@@ -102,13 +103,12 @@ class EnvHost:
         rounds = math.ceil(episodes / copies)
         self._enter("evaluation", k, rounds * self._run.team.max_episode_steps)
         env = registry.make(env_id, copies, self._description.progress(k))
-        rollout = Rollout(env, self._description.seed, "evaluation", k, episodes)
+        rollout = self._rollout = Rollout(env, self._description.seed, "evaluation", k, episodes)
         policies: dict[str, str] = {}
         while not rollout.finished:
             answers = self._ask("evaluation", k, rollout.step, rollout.observations, None)
             self._check_policies(policies, answers, f"evaluation {k}")
             rollout.advance(_actions(answers), self._greedy)
-            self._step = rollout.step
         env.close()
         mean = sum(rollout.episode_returns) / episodes
         result = {
@@ -142,19 +142,17 @@ class EnvHost:
         self._enter("deployment", k, self._schedule.steps)
         description = self._description
         env = registry.make(self._run.team.env_id, description.env.copies, description.progress(k))
-        rollout = Rollout(env, description.seed, "deployment", k)
+        rollout = self._rollout = Rollout(env, description.seed, "deployment", k)
         with _recording(path, "the steps recorded so far are kept"):
             writer, last = self._open_log(path, k, rollout)
             try:
                 while rollout.step < self._schedule.steps:
-                    self._step = rollout.step
                     answers = self._ask("deployment", k, rollout.step, rollout.observations, last)
                     self._check_deployed(k, answers)
                     tags = self._schedule.exploring(rollout.step)
                     last = rollout.advance(_actions(answers), tags)
                     self._gate.check_rewards(last)
                     writer.write(last)
-                self._step = rollout.step
                 self._ask("deployment", k, rollout.step, rollout.observations, last)
                 writer.finish(self._state.policies)
             finally:
@@ -243,13 +241,21 @@ class EnvHost:
                 )
 
     def _enter(self, phase: str, k: int, total: int) -> None:
-        self._phase, self._deployment, self._step, self._total = phase, k, 0, total
-        self._metrics = {}
+        self._phase, self._deployment, self._total = phase, k, total
+        self._rollout, self._metrics = None, {}
         self.heartbeat.publish()
 
     def _status(self) -> Status:
-        metrics = {"epoch": float(self._state.epoch), **self._metrics}
-        return Status(HOST, self._phase, self._deployment, self._step, self._total, 0.0, metrics)
+        rollout = self._rollout  # one that goes over a log again shows its progress, too
+        return Status(
+            HOST,
+            self._phase,
+            self._deployment,
+            rollout.step if rollout else 0,
+            self._total,
+            metrics={"epoch": float(self._state.epoch), **self._metrics},
+            awaits=self._lockstep.awaited,
+        )
 
 
 def _actions(answers: Sequence[Action]) -> list[Float32]:
@@ -266,23 +272,6 @@ def _recording(path: Path, kept: str) -> Iterator[None]:
         raise FailureError(
             f"cannot write {path}: {reason}; {kept}: mend it and resume the run"
         ) from None
-
-
-def _open(run: Run, arguments: argparse.Namespace) -> Session:
-    """The centre of the bus, or a client of a router.
-
-    Whatever the learners use, the launcher beside this process looks on through the local door.
-    """
-    maximum = run.maximum_payload
-    if arguments.connect:
-        router = door_at(arguments.connect, HOST, arguments)
-        return Session.connect(router, maximum, patience(run, arguments))
-    local = run.local_door
-    if not arguments.listen:
-        return Session.listen([local], maximum)
-    door = door_at(arguments.listen, HOST, arguments)
-    access = host_rules(run.keys, run.team.names) if door.identity else None
-    return Session.listen([door, local], maximum, access)
 
 
 def main() -> None:
@@ -309,7 +298,7 @@ def main() -> None:
     def body() -> None:
         run = Run.open(arguments.run)
         run.check(inputs.sources(run.description))
-        session = _open(run, arguments)
+        session = open_bus(run, arguments)
         try:
             EnvHost(run, session).serve(arguments.patience)
         finally:

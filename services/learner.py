@@ -182,8 +182,11 @@ class LearnerService:
         afterwards: ask again.
         """
         if not self._buffer_complete:
-            own = (self._own.start, self._own.stop)
-            self._learner.restore([self._history.fetch(j, *own) for j in range(1, k)])
+            own, fetched = (self._own.start, self._own.stop), []
+            for j in range(1, k):  # which may take long: it is seen to get further
+                self._state = Status(self._name, "starting", k, j, k - 1, metrics=self._told)
+                fetched.append(self._history.fetch(j, *own))
+            self._learner.restore(fetched)
             self._buffer_complete = True
         data = self._gathering.all(k)
         self._judge.take(k, data)
@@ -270,11 +273,12 @@ def main() -> None:
         deadline = patience(run, arguments)
         with Session.connect(door, run.maximum_payload, deadline) as session:
             rejections = Rejections()
-            if not run.description.bus.router:  # it listens, so it can answer
+            router = bool(run.description.bus.router)
+            if not router:  # the env host listens, so it can answer
                 deadline = run.description.bus.answer_deadline
             waiting = Status(agent.name, "waiting")
             with Heartbeat(session, run.keys, agent.name, rejections, lambda: waiting):
-                agree(session, run.keys, run.spec, deadline, rejections)
+                agree(session, run.keys, run.spec, deadline, rejections, shared=router)
             service = LearnerService(run, agent, session, rejections)
             with service.heartbeat:
                 service.serve()

@@ -72,7 +72,8 @@ class Run:
                 f"{folder.description} is not resolved: deployment.transitions is {size},"
                 f" no multiple of env.copies ({copies})"
             )
-        return cls(folder, description, team_spec(description.env.id), Keys(str(run)), noted)
+        keys = Keys(str(run), description.shared_digest())
+        return cls(folder, description, team_spec(description.env.id), keys, noted)
 
     def check(self, found: Digests) -> None:
         """Raises UserError if an input is another one than when the run began."""

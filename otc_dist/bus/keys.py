@@ -1,12 +1,16 @@
 """Every key of the bus, in one place.
 
-otc/{run}/{agent}/observation    env host -> that learner
-otc/{run}/{agent}/action         that learner -> env host
-otc/{run}/{agent}/status         that learner -> env host and launcher
-otc/{run}/{agent}/history        query by that learner: its own transitions, from the log
-otc/{run}/host/status            env host -> all
-otc/{run}/host/spec              query by learners: agents, sizes, protocol version, description
-otc/{run}/alive/{process}        liveliness tokens
+otc/{run}/{description}/{agent}/observation    env host -> that learner
+otc/{run}/{description}/{agent}/action         that learner -> env host
+otc/{run}/{description}/{agent}/status         that learner -> env host and launcher
+otc/{run}/{description}/{agent}/history        query by that learner: its own transitions
+otc/{run}/{description}/host/status            env host -> all
+otc/{run}/{description}/alive/{process}        liveliness tokens
+otc/{run}/host/spec    query by learners: agents, sizes, protocol version, description
+
+{description} is the digest of what env host and learners must agree on. So runs of one name but of
+other settings never hear each other, though they meet at one router; and since it is no part of the
+spec's key, a learner is told when it was given other settings than the env host.
 """
 
 import re
@@ -15,6 +19,7 @@ from dataclasses import dataclass
 
 HOST = "host"  # the env host's process name; the learners' are their agents' names
 OBSERVER = "observer"  # whoever only looks: the launcher
+ANY = "*"  # in place of a description's digest, in rules for runs of any
 
 
 @dataclass(frozen=True)
@@ -36,14 +41,23 @@ class Uses:
 
 @dataclass(frozen=True)
 class Keys:
-    """The keys of one run. `process` is `HOST` or an agent's name."""
+    """The keys of one run. `process` is `HOST` or an agent's name.
+
+    Attributes:
+        description: `Description.shared_digest` of the run's; `ANY` where only rules are made.
+    """
 
     run: str
+    description: str
+
+    @property
+    def _run(self) -> str:
+        # Zenoh gives a meaning to /, *, $, ?, # and @ in keys.
+        return "otc/" + re.sub(r"[^A-Za-z0-9_.-]", "_", self.run)
 
     @property
     def _root(self) -> str:
-        # Zenoh gives a meaning to /, *, $, ?, # and @ in keys.
-        return "otc/" + re.sub(r"[^A-Za-z0-9_.-]", "_", self.run)
+        return f"{self._run}/{self.description}"
 
     def observation(self, agent: str) -> str:
         return f"{self._root}/{agent}/observation"
@@ -59,7 +73,7 @@ class Keys:
 
     @property
     def spec(self) -> str:
-        return f"{self._root}/{HOST}/spec"
+        return f"{self._run}/{HOST}/spec"
 
     def alive(self, process: str) -> str:
         return f"{self._root}/alive/{process}"
@@ -81,7 +95,7 @@ class Keys:
             hears=(*map(self.action, agents), *map(self.status, agents)),
             answers=(*map(self.history, agents), self.spec),
             shows=(self.alive(HOST),),
-            watches=tuple(map(self.alive, agents)),
+            watches=tuple(map(self.alive, (HOST, *agents))),
         )
 
     def observer_uses(self, agents: Sequence[str]) -> Uses:

@@ -6,15 +6,17 @@ again with the same bytes. So a lost message, a link that was cut, a slow or a r
 costs time and nothing else.
 """
 
+import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from otc_dist.bus.codec import AgentCodec
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.messages import Action, Moment, Observation
-from otc_dist.bus.session import Session
-from otc_dist.bus.status import BUSY, StatusBoard
+from otc_dist.bus.session import INBOX_SIZE, Session
+from otc_dist.bus.status import StatusBoard
 from otc_dist.bus.wire import RejectedError, Rejections
+from otc_dist.envs.choices import refused
 from otc_dist.spec import AgentSpec
 
 _FIRST_REPEAT = 0.05  # seconds until a question is asked again; doubles
@@ -31,8 +33,10 @@ class HostLockstep:
     Args:
         copies: E, by phase.
         deadline: seconds without a sign of life from an agent that has not answered, after which
-            `ask` gives up. An answer or a status that says the learner is busy is a sign of life;
-            a status that says it is ready is none.
+            `ask` gives up. A status that says the learner is busy is a sign of life; one that says
+            it is ready is none.
+        changed: agent -> when (time.monotonic) its process last came or went: one that has just
+            ended is being started again.
     """
 
     def __init__(
@@ -43,16 +47,26 @@ class HostLockstep:
         copies: Mapping[str, int],
         deadline: float,
         rejections: Rejections,
+        changed: Callable[[str], float] = lambda _: -math.inf,
     ) -> None:
+        self._changed = changed
         self._codecs = [AgentCodec(keys.run, agent, copies) for agent in agents]
-        self._names = [agent.name for agent in agents]
+        self._agents, self._names = agents, [agent.name for agent in agents]
+        self._awaited: tuple[str, ...] = ()
         self._rejections, self._deadline = rejections, deadline
         self._board = StatusBoard(session, keys, tuple(self._names), rejections)
         self._inboxes = [session.inbox(keys.action(agent)) for agent in self._names]
         self._puts = [session.publisher(keys.observation(agent)) for agent in self._names]
 
+    @property
+    def awaited(self) -> tuple[str, ...]:
+        """Whose answers are overdue, from any thread: they have been asked again already."""
+        return self._awaited
+
     def ask(self, questions: Sequence[Observation], *, acting: bool) -> list[Action]:
         """One question and one answer for each agent, in the agents' order.
+
+        An answer that the task would not take is rejected like one that is no number.
 
         Args:
             questions: of one moment.
@@ -69,28 +83,54 @@ class HostLockstep:
             payloads.append(payload)
         asked = time.monotonic()
         repeat, next_repeat = _FIRST_REPEAT, asked + _FIRST_REPEAT
-        answers: list[Action] = []
+        answers: dict[int, Action] = {}
         # One agent after the other, who was asked last first: meanwhile the others' answers
         # gather in their inboxes, and this process is not woken for each.
-        missing = len(payloads)
-        while missing:
-            received = self._inboxes[missing - 1].get(next_repeat)
-            answer = received and self._decode(missing - 1, received, moment, acting)
-            if answer:
-                answers.append(answer)
-                missing -= 1
-            elif (now := time.monotonic()) >= next_repeat:
-                self._check_deadline(missing - 1, asked, moment)
-                for put, payload in zip(self._puts[:missing], payloads[:missing], strict=True):
-                    put(payload)
-                repeat = min(2 * repeat, _SLOWEST_REPEAT)
-                next_repeat = now + repeat
-        answers.reverse()
-        return answers
+        for index in reversed(range(len(payloads))):
+            while index not in answers:
+                received = self._inboxes[index].get(next_repeat)
+                answer = received and self._decode(index, received, questions[index], acting)
+                if answer:
+                    answers[index] = answer
+                elif (now := time.monotonic()) >= next_repeat:
+                    missing = self._look(questions, acting, answers)
+                    self._awaited = tuple(self._names[other] for other in missing)
+                    for other in missing:
+                        self._check_deadline(other, asked, moment)
+                        self._puts[other](payloads[other])
+                    repeat = min(2 * repeat, _SLOWEST_REPEAT)
+                    next_repeat = now + repeat
+        self._awaited = ()
+        return [answers[index] for index in range(len(payloads))]
 
-    def _decode(self, index: int, payload: bytes, moment: Moment, acting: bool) -> Action | None:
+    def _look(
+        self, questions: Sequence[Observation], acting: bool, answers: dict[int, Action]
+    ) -> list[int]:
+        """Take the answers that are there already; whose are missing."""
+        for index, question in enumerate(questions):
+            for _ in range(INBOX_SIZE):  # however fast more comes in
+                if index in answers or (received := self._inboxes[index].look()) is None:
+                    break
+                if answer := self._decode(index, received, question, acting):
+                    answers[index] = answer
+        return [index for index in range(len(questions)) if index not in answers]
+
+    def _decode(
+        self, index: int, payload: bytes, question: Observation, acting: bool
+    ) -> Action | None:
+        agent, moment = self._agents[index], question.moment
         try:
-            return self._codecs[index].decode_action(payload, moment, acting=acting)
+            answer = self._codecs[index].decode_action(payload, moment, acting=acting)
+            if answer.actions is None or question.observations is None:
+                return answer
+            copy = refused(agent, answer.actions, question.observations)
+            if copy is None:
+                return answer
+            raise RejectedError(
+                "unavailable",
+                f"{agent.name} cannot take action {answer.actions[copy, 0]:g} in copy {copy}"
+                f" ({_place(moment)})",
+            )
         except RejectedError as rejected:
             self._rejections.count(rejected)
             return None
@@ -98,13 +138,12 @@ class HostLockstep:
     def _check_deadline(self, index: int, asked: float, moment: Moment) -> None:
         agent = self._names[index]
         newest = self._board.newest(agent)
-        busy = newest is not None and newest.phase in BUSY
-        sign = max(asked, self._board.heard(agent)) if busy else asked
+        # Not by what it says now: its answer may still be on the way when it is ready.
+        sign = max(asked, self._board.heard_busy(agent), self._changed(agent))
         if time.monotonic() - sign > self._deadline:
-            what = f"{moment.phase} {moment.deployment}, step {moment.step}"
             state = f"it says {newest.phase!r}" if newest else "it was never heard of"
             raise GaveUpError(
-                f"no answer from {agent} for {self._deadline:g} s ({state}) to {what}"
+                f"no answer from {agent} for {self._deadline:g} s ({state}) to {_place(moment)}"
                 f"{self._rejection_hint()}"
             )
 
@@ -114,6 +153,10 @@ class HostLockstep:
             return ""
         listed = ", ".join(f"{key.removeprefix('rejected/')} {n:.0f}" for key, n in counts.items())
         return f"; rejected messages: {listed}"
+
+
+def _place(moment: Moment) -> str:
+    return f"{moment.phase} {moment.deployment}, step {moment.step}"
 
 
 class LearnerLockstep:

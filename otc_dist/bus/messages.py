@@ -22,6 +22,7 @@ from otc_dist.transitions import Bool, Float32, JointStep
 Phase = Literal["deployment", "evaluation", "done"]
 PHASES: Mapping[Phase, int] = {"deployment": 0, "evaluation": 1, "done": 2}
 _MOST_METRICS = 256
+_MOST_AWAITED = 10_000
 
 
 class Moment(NamedTuple):
@@ -92,8 +93,10 @@ class Status:
     update, total: updates of a learner, steps of the env host, done and to be done in the phase.
     rate: updates or steps a second, measured between two statuses.
     metrics: named numbers, all finite; `rejected/{reason}` counts rejected messages.
-    beat: larger in every later status of a process, also after a restart: one that was recorded
-        and is sent again is told from a sign of life.
+    awaits: of the env host, the agents without whose answers it does not go on; while there are
+        none, it is the env host that works.
+    start, beat: a number drawn when the process started, and how many statuses it has sent since:
+        one that was recorded and is sent again is told from a sign of life, whatever the clocks.
     """
 
     process: str
@@ -103,6 +106,8 @@ class Status:
     total: int = 0
     rate: float = 0.0
     metrics: Mapping[str, float] = field(default_factory=dict)
+    awaits: tuple[str, ...] = ()
+    start: int = 0
     beat: int = 0
 
 
@@ -110,16 +115,19 @@ def encode_status(run: str, status: Status) -> bytes:
     """Metrics that are not finite are left out."""
     metrics = {key: float(x) for key, x in status.metrics.items() if math.isfinite(x)}
     head = [PROTOCOL_VERSION, run, status.process, status.phase, status.deployment]
-    return pack([*head, status.update, status.total, status.rate, metrics, status.beat])
+    body = [status.update, status.total, status.rate, metrics, list(status.awaits)]
+    return pack([*head, *body, status.start, status.beat])
 
 
 def decode_status(payload: bytes, run: str, process: str) -> Status:
     """Raises RejectedError for anything but a status of `process`."""
-    fields = unpack(payload, run, 10)
-    _, _, sender, phase, deployment, update, total, rate, metrics, beat = fields
+    fields = unpack(payload, run, 12)
+    _, _, sender, phase, deployment, update, total, rate, metrics, awaits, start, beat = fields
     if sender != process:
         raise RejectedError("agent")
     if type(metrics) is not dict or len(metrics) > _MOST_METRICS:
+        raise RejectedError("type")
+    if type(awaits) is not list or len(awaits) > _MOST_AWAITED:
         raise RejectedError("type")
     return Status(
         process,
@@ -129,5 +137,7 @@ def decode_status(payload: bytes, run: str, process: str) -> Status:
         natural(total),
         number(rate),
         {name(key): number(value) for key, value in metrics.items()},
+        tuple(map(name, awaits)),
+        natural(start),
         natural(beat),
     )

@@ -1,6 +1,7 @@
 """Which learners are there, as the env host sees it by their liveliness tokens."""
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -19,6 +20,7 @@ class Presence:
         self._agents = agents
         self._present: set[str] = set()
         self._changed = threading.Condition()
+        self._when: dict[str, float] = {}
         for agent in agents:
             session.watch_alive(keys.alive(agent), self._noting(agent))
 
@@ -26,9 +28,14 @@ class Presence:
         def note(alive: bool) -> None:
             with self._changed:
                 (self._present.add if alive else self._present.discard)(agent)
+                self._when[agent] = time.monotonic()
                 self._changed.notify_all()
 
         return note
+
+    def changed(self, agent: str) -> float:
+        """When (time.monotonic) it last came or went; -inf before that."""
+        return self._when.get(agent, -math.inf)
 
     def wait_for_all(self, patience: float) -> None:
         """Return when every learner has come.

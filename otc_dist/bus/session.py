@@ -19,7 +19,7 @@ Put = Callable[[bytes], None]
 Receive = Callable[[bytes], None]
 Query = Callable[[Mapping[str, str]], bytes]
 
-_INBOX_SIZE = 256  # messages
+INBOX_SIZE = 256  # messages
 _WAKE_PERIOD = 0.05  # seconds
 _ATTEMPT = 1.0  # seconds until it is asked why a link does not come about; then doubles, up to
 _LONGEST_ATTEMPT = 4.0  # so that who comes late and refuses is told of as soon
@@ -164,7 +164,7 @@ class Session:
 
     def inbox(self, key: str) -> Inbox:
         """Everything published on `key`, for one thread to wait for."""
-        channel = zenoh.handlers.RingChannel(_INBOX_SIZE)
+        channel = zenoh.handlers.RingChannel(INBOX_SIZE)
         subscriber = self._keep(self._session.declare_subscriber(key, channel))
         own = self._keep(
             self._session.declare_publisher(key, allowed_destination=zenoh.Locality.SESSION_LOCAL)
@@ -208,6 +208,21 @@ class Session:
             if text != "Timeout":
                 raise LookupError(text)
         return None
+
+    def ask_all(self, key: str, timeout: float) -> list[bytes]:
+        """The answers of all who answer queries on `key`, within `timeout` seconds."""
+        replies = self._session.get(
+            key,
+            timeout=timeout,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+
+    def is_alive(self, key: str, timeout: float) -> bool:
+        """Whether somebody's token `key` is there; one query of at most `timeout` seconds."""
+        replies = self._session.liveliness().get(key, timeout=timeout)
+        return any(reply.ok is not None for reply in replies)
 
     def declare_alive(self, key: str) -> None:
         """Let others see this process until it closes or dies."""

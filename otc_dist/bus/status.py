@@ -1,6 +1,7 @@
 """Signs of life: each process says twice a second what it does; who cares keeps the newest."""
 
 import math
+import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from otc_dist.bus.wire import RejectedError, Rejections
 from otc_dist.description.distances import FITS
 
 _PERIOD = 0.5  # seconds between two statuses of a process
+_STARTS = 1000  # of one process that a board remembers
 
 # What a learner may be busy with while the env host waits for it.
 BUSY = frozenset({"starting", "offline", *FITS, "tuning"})
@@ -39,7 +41,7 @@ class Heartbeat:
         self._put = session.publisher(keys.status(process))
         self._run, self._rejections, self._describe = keys.run, rejections, describe
         self._before = (time.monotonic(), Status(process))
-        self._last_beat = 0
+        self._start, self._beats = secrets.randbits(63), 0
         self._stop, self._lock = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
 
@@ -48,9 +50,9 @@ class Heartbeat:
         with self._lock:
             status = self._describe()
             metrics = {**status.metrics, **self._rejections.as_metrics()}
-            self._last_beat = max(self._last_beat + 1, time.time_ns())
-            status = replace(status, rate=self._rate(status), metrics=metrics, beat=self._last_beat)
-            self._put(encode_status(self._run, status))
+            self._beats += 1
+            told = replace(status, rate=self._rate(status), metrics=metrics)
+            self._put(encode_status(self._run, replace(told, start=self._start, beat=self._beats)))
 
     def _rate(self, status: Status) -> float:
         """Updates a second since the last measurement in the same phase."""
@@ -95,20 +97,28 @@ class StatusBoard:
     ) -> None:
         self._run, self._rejections, self._on_status = keys.run, rejections, on_status
         self._newest: dict[str, tuple[float, Status]] = {}
+        self._busy: dict[str, float] = {}  # when it was last heard to be busy
         for process in processes:
             session.subscribe(keys.status(process), self._receiver(process))
 
     def _receiver(self, process: str) -> Callable[[bytes], None]:
+        beats: dict[int, int] = {}  # start -> its last beat; in the order of their coming
+
         def receive(payload: bytes) -> None:
             try:
                 status = decode_status(payload, self._run, process)
-                newest = self.newest(process)
-                if newest is not None and status.beat <= newest.beat:
+                if status.beat <= beats.get(status.start, -1):
                     raise RejectedError("stale")
             except RejectedError as rejected:
                 self._rejections.count(rejected)
                 return
-            self._newest[process] = (time.monotonic(), status)
+            if status.start not in beats and len(beats) == _STARTS:
+                del beats[next(iter(beats))]
+            beats[status.start] = status.beat
+            now = time.monotonic()
+            self._newest[process] = (now, status)
+            if status.phase in BUSY:
+                self._busy[process] = now
             if self._on_status is not None:
                 self._on_status(status)
 
@@ -118,6 +128,10 @@ class StatusBoard:
         """None before the first."""
         entry = self._newest.get(process)
         return entry[1] if entry else None
+
+    def heard_busy(self, process: str) -> float:
+        """When (time.monotonic) it last said that it was busy; -inf before that."""
+        return self._busy.get(process, -math.inf)
 
     def heard(self, process: str) -> float:
         """When (time.monotonic) the newest status came; -inf before the first."""

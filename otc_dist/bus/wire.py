@@ -18,7 +18,7 @@ from otc_dist.transitions import Bool, Float32, all_finite
 
 log = logging.getLogger(__name__)
 
-PROTOCOL_VERSION = 3
+PROTOCOL_VERSION = 4
 _LONGEST_NAME = 256  # characters
 FLOAT, BOOLEAN = np.dtype("<f4"), np.dtype("?")
 
@@ -42,7 +42,7 @@ class Rejections:
         with self._lock:
             self._counts[rejected.reason] += 1
             first = self._counts[rejected.reason] == 1
-        if first and rejected.reason == "version":
+        if first and str(rejected) != rejected.reason:  # it is told in more than a word
             log.warning("rejected a message: %s", rejected)
 
     def __getitem__(self, reason: str) -> int:

@@ -5,8 +5,27 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.spec import TeamSpec
+from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.transitions import Bool, Float32
+
+
+def refused(agent: AgentSpec, actions: Float32, observations: Float32) -> int | None:
+    """The first copy whose task would not take an agent's action; None: all take theirs.
+
+    A task takes any continuous action, clipped; of discrete ones those that the observation names.
+
+    Args:
+        actions: (E, action_size), finite.
+        observations: (E, observation_size), by which they were chosen.
+    """
+    if not agent.choices:
+        return None
+    wanted = actions[:, 0]
+    inside = (wanted >= 0) & (wanted < agent.choices)
+    index = np.where(inside, wanted, 0).astype(np.int64)
+    available = observations[np.arange(len(index)), index - agent.choices] > 0
+    (wrong,) = np.nonzero(~(inside & (index == wanted) & available))
+    return int(wrong[0]) if len(wrong) else None
 
 
 def chosen(spec: TeamSpec, actions: Sequence[Float32], available: Bool) -> NDArray[np.int64]:

@@ -4,7 +4,6 @@ Learners and observers see what they saw then: the host's liveliness token and s
 questions with observations and outcomes, and its answers to queries for the spec and for history.
 """
 
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
@@ -43,6 +42,8 @@ class LogHost:
         header: of any of the logs.
         indices: places in the team of the agents to publish for.
         read: agent -> what reads its transitions for a learner that asks for its past.
+        epoch: later than those of any host that these learners have heard: what is earlier, they
+            reject.
     """
 
     def __init__(
@@ -52,15 +53,16 @@ class LogHost:
         description: Description,
         indices: Sequence[int],
         read: Callable[[str], Read],
+        epoch: int,
     ) -> None:
         self.session, self.indices = session, indices
         self.agents = [header.team.agents[index] for index in indices]
         self.names = [agent.name for agent in self.agents]
         self.deadline = description.bus.answer_deadline
-        self.keys, self.copies = Keys(header.run), copies_by_phase(description)
+        self.keys = Keys(header.run, description.shared_digest())
+        self.copies = copies_by_phase(description)
         self.rejections = Rejections()
-        # Later than those of any host of this run before: learners reject what is earlier.
-        self._epoch = int(time.time())
+        self._epoch = epoch
         self._status = Status(HOST)
         self._heartbeat = Heartbeat(session, self.keys, HOST, self.rejections, lambda: self._status)
         longest = longest_message(description, header.team)

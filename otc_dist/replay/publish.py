@@ -31,6 +31,7 @@ from otc_dist.deployment_log.several import in_order
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.exploration import Schedule
+from otc_dist.host_state import HostState
 from otc_dist.progress import shown
 from otc_dist.replay.log_host import Asker, LogHost, OtherActionError, Teller
 from otc_dist.replay.selection import Selection, select
@@ -40,6 +41,7 @@ from otc_dist.transitions import JointStep, Transitions
 _Part = tuple[LogSummary, Selection]
 
 _LOOK = 0.02  # seconds between two looks at whether somebody listens
+LONGEST_GAP = 5.0  # seconds of a log's own time between two steps that are waited for
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -66,8 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.learners:
         _prepare_learners(arguments, parts, description, logs)
     indices = parts[0][1].indices(first.team.names)
+    epoch = HostState.begin(RunFolder(arguments.run)).epoch if arguments.learners else 1
     with _centre(root, longest_message(description, first.team)) as session:
-        host = LogHost(session, first, description, indices, logs.of_agent)
+        host = LogHost(session, first, description, indices, logs.of_agent, epoch)
         try:
             if arguments.learners:
                 _ask(arguments, host, parts)
@@ -104,17 +107,24 @@ def _ask(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -> No
 
 
 def _steps(summary: LogSummary, selection: Selection, rate: float | None) -> Iterator[JointStep]:
-    """The selected steps, each when it is due: `rate` times as fast as logged, or at once."""
+    """The selected steps, each when it is due: `rate` times as fast as logged, or at once.
+
+    What a log's clock skipped while the run was stopped, or when it was set, is not waited for.
+    """
     doing = f"publishing deployment {summary.header.deployment}"
     total = selection.stop - selection.start
-    begun, first, done = time.monotonic(), None, 0
+    due, before, done = time.monotonic(), None, 0
     with OpenLog(summary.path) as log, shown(doing, "steps") as report:
         for rows in log.blocks(selection.start, selection.stop):
             for row, step in zip(rows, log.layout.steps(rows), strict=True):
                 logged = int(row["log_time"])
-                first = logged if first is None else first
+                gap = 0.0 if before is None else (logged - before) / 1e9
+                before = logged
                 if rate is not None:
-                    due = begun + (logged - first) / 1e9 / rate
+                    if gap > LONGEST_GAP:
+                        told = f"the log's clock went on by {gap:,.0f} s before step {step.step}"
+                        print(f"{told}: {LONGEST_GAP:g} s are waited", file=sys.stderr)
+                    due += max(0.0, min(gap, LONGEST_GAP)) / rate
                     time.sleep(max(0.0, due - time.monotonic()))
                 yield step
                 done += 1

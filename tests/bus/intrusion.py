@@ -14,7 +14,7 @@ from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
 from .conftest import free_port
 
 PATIENCE = 10.0  # seconds; only a test that fails waits as long
-KEYS, AGENTS = Keys("a-run"), ("agent_0", "agent_1")
+KEYS, AGENTS = Keys("a-run", "digest"), ("agent_0", "agent_1")
 MARK = b"mark"  # of what is allowed
 REMOTE = zenoh.Locality.REMOTE
 OWN = KEYS.learner_uses("agent_1")
@@ -23,8 +23,9 @@ WIDE = (
     "**",
     "otc/**",
     "otc/a-run/*/*",
-    "otc/*/agent_0/**",
-    "otc/a-run/agent$*/observation",
+    "otc/a-run/*/*/*",
+    "otc/*/*/agent_0/**",
+    "otc/a-run/digest/agent$*/observation",
     "@/**",
 )
 

@@ -29,7 +29,7 @@ DIGEST = "0123456789abcdef"
 AGENT = AgentSpec("agent_0", 3, (-1.0, -2.0), (1.0, 2.0))
 COPIES = {"deployment": 2, "evaluation": 4, "done": 0}
 MOMENT = Moment("deployment", 4, 5, 6)
-KEYS = Keys(RUN)
+KEYS = Keys(RUN, "digest")
 NEVER = 1e9  # seconds
 
 Payloads = Iterator[bytes]
@@ -60,6 +60,9 @@ class Wire:
 
     def ask(self, key: str, parameters: Mapping[str, str], timeout: float) -> bytes | None:
         return next(self.feed, None)
+
+    def ask_all(self, key: str, timeout: float) -> list[bytes]:
+        return [next(self.feed)]
 
 
 def _then(count: int, make: Callable[[], bytes], last: bytes) -> Payloads:
@@ -147,15 +150,16 @@ def status(count: int, rejections: Rejections, noise: random.Random) -> None:
         encode_status(RUN, first),
         encode_status(RUN, Status("agent_1", beat=12)),
         encode_status("another", Status("agent_0", beat=12)),
-        msgpack.packb([*msgpack.unpackb(after)[:8], {"loss": float("nan")}, 12]),
-        msgpack.packb([*msgpack.unpackb(after)[:8], {str(i): 0.0 for i in range(300)}, 12]),
-        msgpack.packb([*msgpack.unpackb(after)[:7], float("inf"), {}, 12]),
+        msgpack.packb([*msgpack.unpackb(after)[:8], {"loss": float("nan")}, [], 0, 12]),
+        msgpack.packb([*msgpack.unpackb(after)[:8], {str(i): 0.0 for i in range(300)}, [], 0, 12]),
+        msgpack.packb([*msgpack.unpackb(after)[:7], float("inf"), {}, [], 0, 12]),
     )
 
     def same(place: int, odd: object) -> bool:
         text = place == 3 and type(odd) is str and len(odd) <= 256
         rate = place == 7 and type(odd) in (int, float) and odd == odd and abs(odd) != np.inf  # type: ignore[arg-type]
-        return text or rate or (place == 8 and odd in ({}, {"a": 1}))
+        start = place == 10 and type(odd) is int and odd >= 0
+        return text or rate or start or (place, odd) in ((8, {}), (8, {"a": 1}), (9, []))
 
     target = Target(after, stale, (), same, wide=False)
     for payload in _then(count, lambda: hostile(target, noise), after):

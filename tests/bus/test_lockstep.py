@@ -1,6 +1,8 @@
 """Stop-and-wait over real sessions: whatever is lost, repeated or wrong only costs time."""
 
+import math
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -13,13 +15,13 @@ from otc_dist.bus.keys import Keys
 from otc_dist.bus.lockstep import GaveUpError, HostLockstep, LearnerLockstep
 from otc_dist.bus.messages import Action, Moment, Observation, Status
 from otc_dist.bus.session import Session
-from otc_dist.bus.status import Heartbeat
+from otc_dist.bus.status import Heartbeat, StatusBoard
 from otc_dist.bus.wire import Rejections
 from otc_dist.spec import AgentSpec
 
 PATIENCE = 20.0  # seconds; only a test that fails waits as long
 DIGEST = "0" * 16
-KEYS = Keys("run")
+KEYS = Keys("run", "digest")
 AGENTS = tuple(AgentSpec(f"agent_{i}", 2, (-1.0,), (1.0,)) for i in range(2))
 COPIES = {"deployment": 1, "evaluation": 1, "done": 0}
 
@@ -137,6 +139,102 @@ def test_bad_answers_are_counted_and_the_good_one_still_counts(endpoint: str) ->
         assert all(rejections[r] == 2 for r in ("epoch", "shape", "not-finite", "malformed"))
 
 
+def _masked(step: int) -> list[Observation]:
+    """Of two actions, agent_0 has the first only, and agent_1 the second."""
+    moment = Moment("evaluation", 0, 1, step)
+    return [Observation(moment, np.eye(2, dtype=np.float32)[[i]], None) for i in range(2)]
+
+
+def test_an_action_that_the_task_would_not_take_is_rejected_like_one_that_is_no_number(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    discrete = tuple(AgentSpec(f"agent_{i}", 2, (0.0,), (1.0,), choices=2) for i in range(2))
+    monkeypatch.setitem(globals(), "AGENTS", discrete)
+    wrong = (0.0, 0.5, -1.0, 2.0, 1e9)
+
+    def answer(side: LearnerLockstep, question: Observation) -> None:
+        assert question.observations is not None
+        own = question.observations.argmax()
+        for action in (*wrong, 1.0) if own else (0.0,):
+            side.answer(Action(question.moment, np.full((1, 1), action, np.float32), DIGEST))
+
+    with _bus(endpoint, answer) as (host, _, _, rejections):
+        answers = host.ask(_masked(3), acting=True)
+    assert [a.actions is not None and a.actions.item() for a in answers] == [0.0, 1.0]
+    assert rejections["unavailable"] >= len(wrong)
+    assert "agent_1 cannot take action 0 in copy 0 (evaluation 0, step 3)" in caplog.text
+
+
+def test_whose_answer_is_missing_is_known_while_it_is(endpoint: str) -> None:
+    """Not of those that have answered, wherever they stand in the team."""
+    waits = threading.Event()
+
+    def answer(side: LearnerLockstep, question: Observation) -> None:
+        if question.observations is not None and question.observations[0, 0] % 2 == 1:
+            assert waits.wait(PATIENCE)  # agent_1 only
+        side.answer(_act(question))
+
+    with _bus(endpoint, answer) as (host, *_):
+        asking = threading.Thread(target=host.ask, args=(_questions(0),), kwargs={"acting": True})
+        asking.start()
+        end = time.monotonic() + PATIENCE
+        while host.awaited != ("agent_1",):
+            assert time.monotonic() < end
+        waits.set()
+        asking.join()
+        assert host.awaited == ()
+
+
+def test_a_learner_whose_process_has_just_gone_is_given_the_time_to_come_again(
+    endpoint: str,
+) -> None:
+    """Its launcher has ended it a moment before the env host would have given up."""
+    gone, deadline = [-math.inf], 0.5
+    with Session.listen([Door(endpoint)], 4096) as session:
+        lockstep = HostLockstep(
+            session, KEYS, AGENTS, COPIES, deadline, Rejections(), lambda _: gone[0]
+        )
+        begun = time.monotonic()
+        gone[0] = begun + 2 * deadline
+        with pytest.raises(GaveUpError):
+            lockstep.ask(_questions(0), acting=True)
+        assert time.monotonic() - begun > 3 * deadline
+
+
+def test_a_restarted_process_is_heard_whatever_its_clock_says(endpoint: str) -> None:
+    """And what it or its predecessor said before is no sign of life when it is sent again."""
+    board: list[StatusBoard] = []
+    said: list[bytes] = []
+    rejections, phase = Rejections(), ["offline"]
+    with (
+        Session.listen([Door(endpoint)], 4096) as session,
+        Session.connect(Door(endpoint), 4096, PATIENCE) as learner,
+    ):
+        session.subscribe(KEYS.status("agent_0"), said.append)
+        board.append(StatusBoard(session, KEYS, ("agent_0",), rejections))
+
+        def until(condition: Callable[[], bool]) -> None:
+            end = time.monotonic() + PATIENCE
+            while not condition():
+                assert time.monotonic() < end
+
+        def newest() -> str:
+            status = board[0].newest("agent_0")
+            return status.phase if status else ""
+
+        for phase[0] in ("offline", "tuning"):  # another process each time
+            with Heartbeat(
+                learner, KEYS, "agent_0", Rejections(), lambda: Status("agent_0", phase[0])
+            ) as heart:
+                until(lambda: heart.publish() or newest() == phase[0])
+        put = learner.publisher(KEYS.status("agent_0"))
+        recorded = list(said)
+        for payload in recorded:
+            put(payload)
+        until(lambda: rejections["stale"] == len(recorded))
+        assert newest() == "tuning"
+
+
 def test_a_learner_rejects_what_the_run_has_left_behind(endpoint: str) -> None:
     with _bus(endpoint, lambda side, question: side.answer(_act(question))) as bus:
         host, learners, session, _ = bus
@@ -212,7 +310,7 @@ def test_a_flood_of_garbage_neither_fills_memory_nor_stops_the_run(endpoint: str
 
 
 def test_keys_name_the_run_and_nothing_that_zenoh_would_interpret() -> None:
-    keys = Keys("a run/with*odd$characters?")
+    keys = Keys("a run/with*odd$characters?", "digest")
     for key in keys.learner_uses("agent_0").keys | keys.host_uses(["agent_0"]).keys:
         assert not set(key) & set("*$?# ")
         assert key.startswith("otc/a_run_with_odd_characters_/")

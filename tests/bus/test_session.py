@@ -8,14 +8,19 @@ import socket
 import stat
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from otc_dist.bus import handshake
 from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
-from otc_dist.bus.handshake import agree, offer
+from otc_dist.bus.handshake import agree, claim, offer
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.links import QUICK_PAYLOAD
+from otc_dist.bus.lockstep import GaveUpError, HostLockstep, LearnerLockstep
+from otc_dist.bus.messages import Action, Moment, Observation
 from otc_dist.bus.replies import RunSpec
 from otc_dist.bus.session import Session
 from otc_dist.bus.wire import Rejections
@@ -124,7 +129,7 @@ def test_queries_carry_parameters_and_refusals(endpoint: str) -> None:
 
 
 def test_a_learner_of_another_description_is_told_so(endpoint: str) -> None:
-    keys, agents = Keys("a-run"), (AgentSpec("agent_0", 3, (-1.0,), (1.0,)),)
+    keys, agents = Keys("a-run", "theirs"), (AgentSpec("agent_0", 3, (-1.0,), (1.0,)),)
     with Session.listen([Door(endpoint)], 2048) as host, Session.connect(Door(endpoint), 2048) as s:
         offer(host, keys, RunSpec("an-env", agents, "theirs"))
         agree(s, keys, RunSpec("an-env", agents, "theirs"), PATIENCE, Rejections())
@@ -138,7 +143,64 @@ def test_a_learner_of_another_description_is_told_so(endpoint: str) -> None:
         with pytest.raises(
             UserError, match="no env host of run 'another-run' answered for 0 s: do"
         ):
-            agree(s, Keys("another-run"), RunSpec("", (), ""), 0.0, Rejections())
+            agree(s, Keys("another-run", ""), RunSpec("", (), ""), 0.0, Rejections())
+
+
+def test_env_hosts_of_one_name_at_one_router_are_heard_by_their_own_learners_alone(
+    endpoint: str,
+) -> None:
+    """As of two people who run the same job, by other settings."""
+    agents = (AgentSpec("agent_0", 3, (-1.0,), (1.0,)),)
+    copies, phase = {"evaluation": 1}, Moment("evaluation", 0, 1, 0)
+    question = Observation(phase, np.zeros((1, 3), np.float32), None)
+    with ExitStack() as closing:
+        closing.enter_context(Session.listen([Door(endpoint)], 2048))
+
+        def client() -> Session:
+            return closing.enter_context(Session.connect(Door(endpoint), 2048, PATIENCE))
+
+        hosts, sides = {}, {}
+        for mine in ("ours", "theirs"):
+            keys, spec = Keys("a-run", mine), RunSpec("an-env", agents, mine)
+            session = client()
+            claim(session, keys)
+            offer(session, keys, spec)
+            session.declare_alive(keys.alive("host"))
+            hosts[mine] = HostLockstep(session, keys, agents, copies, PATIENCE, Rejections())
+            session = client()
+            agree(session, keys, spec, PATIENCE, Rejections(), shared=True)
+            sides[mine] = LearnerLockstep(session, keys, agents[0], copies, Rejections())
+        asking = threading.Thread(
+            target=hosts["theirs"].ask, args=([question],), kwargs={"acting": True}
+        )
+        asking.start()
+        while sides["theirs"].question(1.0) is None:
+            pass
+        assert sides["ours"].question(0.1) is None
+        action = Action(phase, np.zeros((1, 1), np.float32), "0" * 16)
+        sides["ours"].answer(action)
+        asking.join(0.2)
+        assert asking.is_alive()
+        sides["theirs"].answer(action)
+        asking.join(PATIENCE)
+        assert not asking.is_alive()
+
+
+def test_a_second_env_host_of_the_very_same_run_at_a_router_is_refused(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(handshake, "_LEAVING", 0.1)
+    keys = Keys("a-run", "digest")
+    with Session.listen([Door(endpoint)], 2048), Session.connect(Door(endpoint), 2048) as second:
+        with Session.connect(Door(endpoint), 2048) as first:
+            claim(first, keys)
+            first.declare_alive(keys.alive("host"))
+            end = time.monotonic() + PATIENCE
+            while not second.is_alive(keys.alive("host"), PATIENCE):  # it is on its way
+                assert time.monotonic() < end
+            with pytest.raises(GaveUpError, match="another env host of run 'a-run' is at work"):
+                claim(second, keys)
+        claim(second, keys)  # once it has gone
 
 
 def test_liveliness_is_seen_to_come_and_to_go(endpoint: str) -> None:

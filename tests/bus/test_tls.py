@@ -92,7 +92,7 @@ def test_who_holds_a_certificate_of_the_same_authority_is_let_in(
 
 
 def test_the_launcher_looks_on_through_the_socket_of_its_machine(ours: Path, endpoint: str) -> None:
-    keys = Keys("a-run")
+    keys = Keys("a-run", "digest")
     outside, local = f"tls/127.0.0.1:{free_port()}", Door(endpoint)
     doors = [door(outside, HOST, ours, insecure=False), local]
     rules = host_rules(keys, AGENTS)

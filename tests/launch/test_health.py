@@ -5,7 +5,15 @@ from pathlib import Path
 import pytest
 
 from otc_dist.bus.messages import Status
-from otc_dist.launch.health import FIRST_DELAY, FROZEN_AFTER, LASTING, LIMIT, TELL_AFTER, Health
+from otc_dist.launch.health import (
+    FIRST_DELAY,
+    FROZEN_AFTER,
+    LASTING,
+    LEAVING,
+    LIMIT,
+    TELL_AFTER,
+    Health,
+)
 from otc_dist.launch.supervisor import End
 
 DEADLINE = 30.0
@@ -129,11 +137,127 @@ def test_a_busy_process_without_progress_is_lost_whatever_its_heartbeat_says(
 ) -> None:
     for second in range(0, 40, 10):
         health.take(Status("agent_0", "tuning", 1, 7, 100), float(second))
-        health.take(Status("host", "deployment", 1, 3, 100), float(second))
+        health.take(Status("host", "deployment", 1, 3, 100, awaits=("agent_0",)), float(second))
     why = f"has made no progress for {DEADLINE:g} s"
     assert health.lost(DEADLINE, at_rest) == {"agent_0": why}  # the host waits: it is not busy
     health.take(Status("agent_0", "tuning", 1, 8, 100), DEADLINE)
     assert health.lost(DEADLINE + 1, at_rest) == {}
+
+
+def hear(health: Health, until: float, *statuses: Status) -> None:
+    """Say the same twice a second, up to and with the second `until`, and judge each time."""
+    clock = max(life.heard for life in health.lives.values())
+    while clock < until:
+        clock += 0.5
+        for status in statuses:
+            health.take(status, clock)
+        if clock < until:
+            assert health.lost(clock, at_rest) == {}
+
+
+READY = Status("agent_0", "ready", 1)
+NO_PROGRESS = f"has made no progress for {DEADLINE:g} s"
+
+
+@pytest.mark.parametrize("phase", ["starting", "evaluation", "deployment"])
+def test_an_env_host_that_waits_for_nobody_and_stands_still_is_lost(
+    health: Health, phase: str
+) -> None:
+    hear(health, DEADLINE + 0.5, Status("host", phase, 1, 7, 100), READY)
+    assert health.lost(DEADLINE + 0.5, at_rest) == {"host": NO_PROGRESS}
+
+
+def test_an_agent_whose_answer_the_host_waits_for_is_lost_and_no_other(health: Health) -> None:
+    asking = Status("host", "deployment", 2, 7, 100, awaits=("agent_0",))
+    hear(health, 20.0, Status("host", "deployment", 2, 6, 100, awaits=("agent_0",)), READY)
+    hear(health, 20.0 + DEADLINE, asking, READY)  # it answered the question before
+    assert health.lost(20.0 + DEADLINE, at_rest) == {}
+    hear(health, 20.5 + DEADLINE, asking, READY)
+    why = f"has given the env host no answer for {DEADLINE:g} s"
+    assert health.lost(20.5 + DEADLINE, at_rest) == {"agent_0": why}
+    assert health.lost(21.5 + DEADLINE, at_rest) == {}  # it is being killed
+    health.died(KILLED["agent_0"], 22.0 + DEADLINE)
+    assert health.lives["agent_0"].last_end == f"was killed by SIGKILL, since it {why}"
+
+
+def test_of_answers_that_cannot_be_taken_it_is_said_why(health: Health) -> None:
+    before = {"rejected/stale": 3.0, "rejected/not-finite": 1.0}
+    health.take(Status("host", "deployment", 1, 6, 100, metrics=before), 0.0)
+    now = before | {"rejected/not-finite": 40.0}
+    hear(
+        health,
+        DEADLINE + 0.5,
+        Status("host", "deployment", 1, 7, 100, metrics=now, awaits=("agent_0",)),
+        READY,
+    )
+    (why,) = health.lost(DEADLINE + 0.5, at_rest).values()
+    assert why.endswith("that it could take (not-finite 39 rejected)")
+
+
+def test_a_host_that_has_waited_long_is_judged_from_when_it_works_again(health: Health) -> None:
+    training = [Status("agent_0", "tuning", 1, update, 1000) for update in range(200)]
+    for update, status in enumerate(training):
+        health.take(Status("host", "evaluation", 1, 0, 9, awaits=("agent_0",)), update / 2)
+        health.take(status, update / 2)
+        assert health.lost(update / 2, at_rest) == {}
+    hear(health, 99.5 + DEADLINE, Status("host", "evaluation", 1, 0, 9), READY)
+    assert health.lost(99.5 + DEADLINE, at_rest) == {}
+    hear(health, 100.0 + DEADLINE, Status("host", "evaluation", 1, 0, 9), READY)
+    assert health.lost(100.0 + DEADLINE, at_rest) == {"host": NO_PROGRESS}
+
+
+def test_whom_a_host_waits_for_that_says_nothing_any_more_is_not_held_against_others(
+    health: Health,
+) -> None:
+    """Its thread that tells is stuck with it, as in code that never lets go of the interpreter."""
+    health.take(Status("host", "deployment", 1, 7, 100, awaits=("agent_0",)), 0.0)
+    hear(health, DEADLINE, READY)
+    assert health.lost(DEADLINE, at_rest) == {"host": f"has said nothing for {DEADLINE:g} s"}
+
+
+@pytest.mark.parametrize("phase", ["gathering", "approval"])
+def test_who_waits_for_others_or_for_a_person_is_not_judged(health: Health, phase: str) -> None:
+    hear(health, 10 * DEADLINE, Status("host", phase, 1), Status("agent_0", "waiting"))
+    assert health.lost(10 * DEADLINE, at_rest) == {}
+
+
+def test_who_waited_long_for_the_host_has_all_its_time_to_start(health: Health) -> None:
+    hear(health, 100.0, Status("host", "gathering"), Status("agent_0", "waiting"))
+    hear(health, 100.0 + DEADLINE, Status("host", "gathering"), Status("agent_0", "starting"))
+    assert health.lost(100.0 + DEADLINE, at_rest) == {}
+
+
+def test_who_is_done_and_does_not_end_is_lost(health: Health) -> None:
+    patience = max(DEADLINE, LEAVING)
+    hear(health, patience + 0.5, Status("host", "done", 2), Status("agent_0", "ready", 2))
+    assert health.lost(patience + 0.5, at_rest) == {
+        "host": f"has made no progress for {patience:g} s"
+    }
+
+
+def test_a_host_that_never_listens_is_lost_though_nothing_can_be_heard() -> None:
+    health = Health(("host", "agent_0"), DEADLINE, host_is_router=True)
+    for name in ("host", "agent_0"):
+        health.started(name, 100, 0.0)
+    assert health.lost(DEADLINE - 1, at_rest) == {}
+    assert health.lost(DEADLINE, at_rest) == {"host": f"has not come for {DEADLINE:g} s"}
+
+
+def test_time_in_which_others_kept_a_process_from_running_does_not_count(health: Health) -> None:
+    """On a machine that is busy, importing a library alone may take longer than the deadline."""
+    kept: dict[int, float] = {100: 0.0, 101: 0.0}
+    asking = Status("host", "deployment", 1, 7, 100, awaits=("agent_0",))
+    for second in range(100):
+        kept[101] = 0.9 * second
+        for status in (asking, READY):
+            health.take(status, float(second))
+        assert health.lost(float(second), at_rest, kept.__getitem__) == {}
+    for second in range(100, 130):
+        for status in (asking, READY):
+            health.take(status, float(second))
+        if health.lost(float(second), at_rest, kept.__getitem__):
+            break
+    assert second == 120  # 10 s of the first 100 were its own
 
 
 def test_delays_double_and_end_after_the_limit(health: Health) -> None:

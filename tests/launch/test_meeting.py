@@ -134,7 +134,7 @@ def test_whom_it_waits_for_is_said_from_time_to_time_until_the_link_is_there(
     with observing(plan, "a-run", signs.put):
         assert waits() and waits()
         with Session.listen([own], QUICK_PAYLOAD) as session:
-            session.declare_alive(Keys("a-run").alive(HOST))
+            session.declare_alive(Keys("a-run", plan.description.shared_digest()).alive(HOST))
             until(Link(up=True), Token(HOST, alive=True))
         between = until(Link(up=False), Token(HOST, alive=False))
         assert not [sign for sign in between if said in str(sign)]
@@ -154,7 +154,8 @@ def test_a_learner_of_another_seed_is_told_at_once_and_from_time_to_time(
     )
     signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
     with Session.listen([own], QUICK_PAYLOAD) as session:
-        session.declare_alive(Keys("3agent_hopper-seed0").alive(HOST))
+        digest = plan.description.shared_digest()
+        session.declare_alive(Keys("3agent_hopper-seed0", digest).alive(HOST))
         assert nobody_of_run(plan, "3agent_hopper-seed0") == ""
         assert nobody_of_run(plan, "3agent_hopper-seed1") == said
         with observing(plan, "3agent_hopper-seed1", signs.put):

@@ -13,7 +13,7 @@ import pytest
 
 from otc_dist import certs
 from otc_dist.bus.access import router_rules
-from otc_dist.bus.keys import Keys
+from otc_dist.bus.keys import ANY, Keys
 from otc_dist.run_folder import RunFolder
 from tests.bus.conftest import free_port
 
@@ -52,7 +52,7 @@ def router(folder: Path, port: int) -> Iterator[None]:
                 }
             }
         },
-        "access_control": router_rules(Keys(RUN), AGENTS),
+        "access_control": router_rules(Keys(RUN, ANY), AGENTS),
     }
     (folder / "router.json5").write_text(json.dumps(settings))
     command = [sys.executable, "-c", ROUTER, str(folder / "router.json5")]

@@ -48,7 +48,7 @@ def heard(log: Path, run: Path, *arguments: str) -> dict[str, list[bytes]]:
         Session.connect(Door(local_endpoint(run)), 16_000, timeout=60) as session,
     ):
         # One subscription: the publisher begins as soon as there is any.
-        session.subscribe(f"otc/{read_header(log).run}/*/*", receive)
+        session.subscribe(f"otc/{read_header(log).run}/*/*/*", receive)
         assert publisher.stderr is not None
         told = publisher.stderr.read()
         assert publisher.wait(60) == 0, told
@@ -110,6 +110,26 @@ def test_steps_are_due_as_they_were_recorded(
         given.append((step.step, now[0]))
     assert [step for step, _ in given] == list(range(60))
     assert given[0][1] == 0 and given[-1][1] == pytest.approx((last - first) / 1e9 / rate)
+
+
+def test_a_gap_of_the_log_s_clock_is_told_and_not_waited_for(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As behind a stop for the night, or where somebody set the clock."""
+    now, jumps = [0.0], iter([*range(0, 10), *range(86_400 + 9, 86_400 + 59)])
+    with monkeypatch.context() as recording:
+        recording.setattr(
+            "otc_dist.deployment_log.writer.time.time_ns", lambda: next(jumps) * 10**9
+        )
+        jumped = logged(tmp_path / "jumped.mcap", read_header(log), read_steps(log))
+    monkeypatch.setattr(publish.time, "sleep", lambda seconds: now.append(now.pop() + seconds))
+    monkeypatch.setattr(publish.time, "monotonic", lambda: now[0])
+    summary = read_summary(jumped)
+    given = list(publish._steps(summary, Selection(0, summary.end, ("agent_0",)), 10.0))
+    assert len(given) == 60
+    assert now[0] == pytest.approx((58 + publish.LONGEST_GAP) / 10)
+    told = capsys.readouterr().err
+    assert "the log's clock went on by 86,400 s before step 10: 5 s are waited" in told
 
 
 Refused = Callable[..., str]

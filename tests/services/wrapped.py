@@ -179,7 +179,7 @@ def _instrument(faults: dict[str, object], keys: set[str]) -> None:
         return note
 
     session.publisher = publisher  # type: ignore[method-assign]
-    for name in ("subscribe", "answer", "ask", "declare_alive", "watch_alive"):
+    for name in ("subscribe", "answer", "ask", "ask_all", "declare_alive", "watch_alive"):
         setattr(session, name, noting(name))
 
 

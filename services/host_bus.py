@@ -1,0 +1,37 @@
+"""Where the env host meets the learners: at itself, or at a router as one client among others."""
+
+import argparse
+
+from otc_dist.bus.access import host_rules
+from otc_dist.bus.handshake import claim
+from otc_dist.bus.keys import HOST
+from otc_dist.bus.session import Session
+
+from .process import Run, door_at, patience
+
+
+def open_bus(run: Run, arguments: argparse.Namespace) -> Session:
+    """The centre of the bus, or a client of a router.
+
+    Whatever the learners use, the launcher beside this process looks on through the local door.
+
+    Raises:
+        UserError: as `Session.listen` and `Session.connect`, or a bad endpoint or certificate.
+        GaveUpError: another env host serves this very run at the router.
+    """
+    maximum = run.maximum_payload
+    if arguments.connect:
+        router = door_at(arguments.connect, HOST, arguments)
+        session = Session.connect(router, maximum, patience(run, arguments))
+        try:
+            claim(session, run.keys)  # where one listens, another cannot
+        except BaseException:
+            session.close()
+            raise
+        return session
+    local = run.local_door
+    if not arguments.listen:
+        return Session.listen([local], maximum)
+    door = door_at(arguments.listen, HOST, arguments)
+    access = host_rules(run.keys, run.team.names) if door.identity else None
+    return Session.listen([door, local], maximum, access)
