@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from otc_dist.comparison.arms import NULL
+from otc_dist.comparison.colours import colours
 from otc_dist.comparison.judgement import returns
 from otc_dist.comparison.scores import Run, best_of
 from otc_dist.report.svg import STYLE, Series, line_chart
@@ -27,16 +29,20 @@ def so_far(run: Run) -> list[float]:
 
 
 def picture(runs: Mapping[str, Sequence[Run]], title: str) -> str:
-    """An SVG file's content: the mean over seeds of each arm, ± its standard error."""
-    series = []
+    """An SVG file's content: the mean over seeds of each arm, of several ± its standard
+    error.
+    """
+    series, by_arm = [], colours(runs)
     for arm, found in runs.items():
         values = np.array([so_far(run) for run in found])
         mean = values.mean(axis=0)
-        many = len(values) > 1
-        error = values.std(axis=0, ddof=1) / math.sqrt(len(values)) if many else np.zeros(len(mean))
         x = list(range(1, len(mean) + 1))
-        low, high = (mean - error).tolist(), (mean + error).tolist()
-        series.append(Series(arm, x, mean.tolist(), low, high))
+        low, high = None, None  # of one seed
+        if len(values) > 1:
+            error = values.std(axis=0, ddof=1) / math.sqrt(len(values))
+            low, high = (mean - error).tolist(), (mean + error).tolist()
+        style = (by_arm[arm], arm == NULL)
+        series.append(Series(arm, x, mean.tolist(), low, high, "band", True, *style))
     chart = line_chart(
         series,
         title=title,

@@ -4,9 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from html import escape
 
-import numpy as np
-
-from otc_dist.comparison import tables
+from otc_dist.comparison import charts, tables
 from otc_dist.comparison.arms import REFERENCE, Arms
 from otc_dist.comparison.conclusion import ENOUGH
 from otc_dist.comparison.judgement import RECOMMENDED
@@ -15,7 +13,6 @@ from otc_dist.comparison.statistics import Summary
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.report import html
-from otc_dist.report.svg import Reference, Series, line_chart
 
 
 def write(
@@ -59,16 +56,29 @@ def page(
         notices.append(
             html.notice(f"Fewer than {ENOUGH} seeds.", "The intervals are too narrow; no claim.")
         )
-    conclusion = f"<p>{escape(summary.conclusion)}</p>"
+    bars = (
+        f"Minus {REFERENCE}, seed by seed. Dot: mean; thick bar: 95% bootstrap interval of the"
+        " mean; thin bar: by Student's t."
+    )
+    bands = f"Bands: ± one standard deviation over {count} seeds. Thin line: {REFERENCE}."
+    alone = "One seed: it has no spread, and a difference no interval."
     parts = [
         *notices,
-        html.section("Result", conclusion, *_judged(summary), html.note(tables.METHOD)),
-        html.section("Returns", _curves(summary), html.note("Bands: ± one standard deviation.")),
         html.section(
-            f"Paired differences from {REFERENCE}", _differences(summary), html.note(tables.METHOD)
+            "Result",
+            f"<p>{escape(summary.conclusion)}</p>",
+            charts.judged(summary),
+            html.note(bars if count > 1 else alone),
+            *_judged(summary),
         ),
-        *(_table(summary, measure) for measure in tables.measures(summary)),
-        _alpha(runs),
+        html.section("Returns", charts.returns(summary), html.note(bands if count > 1 else alone)),
+        html.section(
+            f"Return minus that of {REFERENCE}, deployment by deployment",
+            charts.differences(summary),
+            html.note(tables.METHOD if count > 1 else alone),
+        ),
+        html.section("In numbers", *(_table(summary, name) for name in tables.measures(summary))),
+        html.section("Alpha, mean over seeds", alpha) if (alpha := charts.alpha(runs)) else "",
         html.section("Arms", html.facts((name, ", ".join(a)) for name, a in arms.items())),
         html.section(
             "How it was made",
@@ -79,88 +89,28 @@ def page(
     return html.page(f"Comparison: {base.name}", lead, parts)
 
 
-def _curves(summary: Summary) -> str:
-    series = []
-    for arm in summary.arms:
-        found = arm.measures["return"].deployments
-        series.append(
-            Series(
-                tables.label(arm),
-                list(range(len(found))),
-                [spread.mean for spread in found],
-                [spread.mean - spread.std for spread in found],
-                [spread.mean + spread.std for spread in found],
-            )
-        )
-    return line_chart(
-        series, title="Return of pi_k", x_label="deployment", y_label="return", height=420
-    )
-
-
-def _differences(summary: Summary) -> str:
-    """Of every arm at every deployment, with intervals."""
-    arms = [arm for arm in summary.arms if arm.differences]
-    series = []
-    for index, arm in enumerate(arms):
-        found = arm.differences
-        # Side by side, so that the bars can be seen.
-        shift = 0.12 * (index - (len(arms) - 1) / 2)
-        series.append(
-            Series(
-                tables.label(arm),
-                [k + shift for k in range(1, len(found) + 1)],
-                [d.mean for d in found],
-                [d.low for d in found],
-                [d.high for d in found],
-                spread="bars",
-            )
-        )
-    return line_chart(
-        series,
-        title=f"Return minus that of {REFERENCE}",
-        x_label="deployment",
-        y_label="difference in return",
-        references=[Reference("no difference", 0.0)],
-    )
-
-
 def _judged(summary: Summary) -> list[str]:
     """What the runs are judged by: the recommended policy's gain, and all paired differences."""
-    names = tables.judged(summary)
-    found = []
+    names, colours = tables.judged(summary), charts.arm_colours(summary)
+    found, folded = [], []
     if RECOMMENDED in names:
         gains = list(tables.gain_rows(summary))
-        found += [html.note(tables.GAIN), html.table(gains[0], gains[1:])]
+        found += [html.note(tables.GAIN), html.table(gains[0], gains[1:], colours=colours)]
     for name in names:
         rows = list(tables.difference_rows(summary, name))
-        found += [html.note(tables.JUDGED_TITLES[name]), html.table(rows[0], rows[1:])]
+        folded.append(html.note(tables.JUDGED_TITLES[name]))
+        folded.append(html.table(rows[0], rows[1:], colours=colours))
     if any(one.share is not None for arm in summary.arms for one in arm.judged.values()):
-        found.append(html.note(tables.SHARE))
-    return found
+        folded.append(html.note(tables.SHARE))
+    title = f"Paired differences from {REFERENCE} in numbers"
+    return [*found, html.details(title, *folded, html.note(tables.METHOD))]
 
 
 def _table(summary: Summary, measure: str) -> str:
     rows = list(tables.measure_rows(summary, measure))
     title = tables.TITLES[measure]
-    return html.section(title[0].upper() + title[1:], html.table(rows[0], rows[1:], sums=1))
-
-
-def _alpha(runs: Mapping[str, Sequence[Run]]) -> str:
-    """Alpha of every agent, mean over seeds, for the arms that have one."""
-    charts = []
-    for name, found in runs.items():
-        mine = [run for run in found if all("alpha" in of for of in run.told[0].values())]
-        if not mine:
-            continue
-        series = []
-        for agent in mine[0].told[0]:
-            alphas = [[of[agent]["alpha"] for of in run.told] for run in mine]
-            values = np.asarray(alphas, np.float64).mean(axis=0)
-            series.append(Series(agent, list(range(1, len(values) + 1)), values.tolist()))
-        charts.append(
-            line_chart(series, title=f"alpha, {name}", x_label="deployment", y_label="alpha")
-        )
-    return html.section("Alpha, mean over seeds", html.pair(*charts)) if charts else ""
+    shown = html.table(rows[0], rows[1:], sums=1, colours=charts.arm_colours(summary))
+    return html.details(title[0].upper() + title[1:], shown)
 
 
 def _versions(runs: Mapping[str, Sequence[Run]]) -> list[tuple[str, str]]:

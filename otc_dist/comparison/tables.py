@@ -13,13 +13,18 @@ TITLES = {
     "return": "return of the greedy team",
     "success": "episodes won (%)",
     "normalised score": "normalised score (0: random, 100: expert)",
-    "improvement": "improvement over pi_0 (%)",
+    "improvement": "change from pi_0 (%)",
     "gain": "gain in normalised score over pi_0",
 }
 JUDGED_TITLES = {
     RECOMMENDED: "recommended policy: the one whose deployment brought the best rewards",
     MEAN: "mean over the deployments, of pi_1 .. pi_K",
     WORST: "worst deployed policy, of pi_0 .. pi_{K-1}",
+}
+SHORT_TITLES = {
+    RECOMMENDED: "Recommended policy",
+    MEAN: "Mean over the deployments",
+    WORST: "Worst deployed policy",
 }
 METHOD = (
     "over seeds: mean [95% percentile interval of the mean,"
@@ -66,7 +71,7 @@ def measure_rows(summary: Summary, measure: str) -> Iterator[list[str]]:
 def gain_rows(summary: Summary) -> Iterator[list[str]]:
     """The header, and what each arm's recommended policy returns and has over pi_0."""
     yield [RECOMMENDED, "return", "IQM", "minus pi_0", "by t", "above pi_0", "median gain"]
-    for arm in _null_last(summary):
+    for arm in null_last(summary):
         if arm.gain:
             found, gained = arm.judged[RECOMMENDED].spread, arm.gain.difference
             median = arm.gain.median
@@ -83,7 +88,7 @@ def gain_rows(summary: Summary) -> Iterator[list[str]]:
 
 def difference_rows(summary: Summary, measure: str) -> Iterator[list[str]]:
     """The header and a row an arm; the null arm last, to be compared with."""
-    arms = [(arm, arm.judged[measure]) for arm in _null_last(summary) if measure in arm.judged]
+    arms = [(arm, arm.judged[measure]) for arm in null_last(summary) if measure in arm.judged]
     shares = any(one.share is not None for _, one in arms)
     head = [measure, "mean ± std", "IQM", f"minus {REFERENCE}", "by t", "its IQM", "above 0"]
     yield [*head, "of the way"] if shares else head
@@ -104,7 +109,8 @@ def _share(one: Judged) -> str:
     return NOTHING if one.share is None else f"{100 * one.share:.0f}%"
 
 
-def _null_last(summary: Summary) -> list[Arm]:
+def null_last(summary: Summary) -> list[Arm]:
+    """All arms, at the end the one that differs by chance alone."""
     return sorted(summary.arms, key=lambda arm: arm.name == NULL)
 
 

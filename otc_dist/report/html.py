@@ -16,7 +16,7 @@ _STYLE = """
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--page); color: var(--text);
   font: 15px/1.5 system-ui, -apple-system, "Segoe UI", sans-serif; }
-main { max-width: 1040px; margin: 0 auto; padding: 28px 20px 60px; }
+main { max-width: 1120px; margin: 0 auto; padding: 28px 20px 60px; }
 h1 { font-size: 25px; margin: 0; line-height: 1.25; } h2 { font-size: 17px; margin: 0 0 10px; }
 .lead { color: var(--muted); margin: 2px 0 0; }
 section { background: var(--card); border: 1px solid var(--line); border-radius: 10px;
@@ -41,7 +41,7 @@ section { background: var(--card); border: 1px solid var(--line); border-radius:
   font-variant-numeric: tabular-nums; line-height: 1.3; }
 .figure span, .note { color: var(--muted); font-size: 13px; } .note { margin: 10px 0 0; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { text-align: right; padding: 5px 10px; border-bottom: 1px solid var(--line);
+th, td { text-align: right; padding: 5px 9px; border-bottom: 1px solid var(--line);
   white-space: nowrap; } th { color: var(--muted); font-weight: 500; font-size: 13px; }
 tr:last-child td { border-bottom: 0; } th:first-child, td:first-child { text-align: left; }
 table.facts td { text-align: left; white-space: normal; overflow-wrap: anywhere; }

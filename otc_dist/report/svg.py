@@ -45,13 +45,15 @@ STYLE = f"""
 .chart {{ display: block; width: 100%; height: auto; font: 12px system-ui, sans-serif; }}
 .chart text {{ fill: var(--muted); }}
 .chart .title {{ fill: var(--text); font-weight: 600; font-size: 13px; }}
+.chart .name {{ fill: var(--text); }}
 .chart .grid {{ stroke: var(--line); stroke-width: 1; }}
+.chart .zero {{ stroke: var(--muted); stroke-width: 1.5; stroke-dasharray: 6 4; }}
 .chart .reference {{ stroke: var(--muted); stroke-width: 1.5; }}
 .chart .curve {{ fill: none; stroke: var(--c); stroke-width: 2; stroke-linejoin: round; }}
 .chart .faint {{ stroke-opacity: .4; }} .chart .thin {{ stroke-width: 1.2; }}
 .chart .band {{ fill: var(--c); opacity: .18; }}
 .chart .bar {{ stroke: var(--c); stroke-width: 1.5; fill: none; }}
-.chart .wide-bar {{ stroke: var(--c); stroke-width: 5; opacity: .35; }}
+.chart .wide-bar {{ stroke: var(--c); stroke-width: 8; opacity: .35; fill: none; }}
 .chart .mark {{ fill: var(--c); stroke: var(--card); stroke-width: 1; }}
 {_colours(0)}
 @media (prefers-color-scheme: dark) {{ {_colours(1)} }}
@@ -197,6 +199,7 @@ class _Plot:
     def curve(self, x_label: str) -> str:
         s, out = self.series, [f'<g class="{self.colour}">']
         kind = "curve faint" if s.low is not None and s.spread == "bars" else "curve"
+        kind += "" if s.marks else " thin"
         for run in self._runs(s.y, s.y):
             path = "L".join(f"{x:.1f} {y:.1f}" for x, y, _ in run)
             out.append(f'<path class="{kind}"{_dashed(s)} d="M{path}"/>')
