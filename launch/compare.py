@@ -21,6 +21,7 @@ from .jobs import FailedError, Job, StoppedError, cores, run_jobs
 from .resolve import resolve
 
 SEEDS = "0..9"
+_SHOWN = ("tables", "picture")  # what goes together
 EPISODES = 30  # greedy episodes that a comparison needs at least
 
 _EXPLANATION = """\
@@ -37,10 +38,13 @@ def main(argv: list[str]) -> int:
     Raises:
         UserError: anything the user can mend: one line, status 2.
     """
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    arguments = parser.parse_args(argv)
     if arguments.picture is not None and arguments.tables is None:
         raise UserError("--picture draws what --tables shows: give both")
     if arguments.tables is not None:
+        if idle := [flag for name, flag in parser.given(arguments).items() if name not in _SHOWN]:
+            raise UserError(f"--tables shows what is in its folder: leave out {idle[0]}")
         return _show(arguments)
     if arguments.description is None:
         raise UserError("compare which description? Or --tables FOLDER, of one that was compared")
@@ -59,11 +63,6 @@ def main(argv: list[str]) -> int:
 
 def _show(arguments: argparse.Namespace) -> int:
     """Print the tables of a folder of raw scores."""
-    beside = ("description", "arms", "arm", "seeds", "set", "out", "quick", "results")
-    given = [name for name in beside if getattr(arguments, name)]
-    if given:
-        name = given[0] if given[0] == "description" else f"--{given[0]}"
-        raise UserError(f"--tables shows what is in its folder: leave out {name}")
     found = collected.collect(arguments.tables)
     print(f"{found.name}, {found.dataset}; on {tables.processors(found.runs)}")
     print("\n".join(tables.text(summarise(found.runs, found.normalise))))
@@ -156,7 +155,7 @@ def _conclude(
     print(f"report: {folder.report}\n", flush=True)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(
         prog="python -m otc_dist.launch compare",
         description=_EXPLANATION,

@@ -3,6 +3,7 @@
 import argparse
 import errno
 import sys
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -38,6 +39,7 @@ def main(argv: list[str]) -> int:
     """
     parser = _parser()
     arguments = parser.parse_args(argv)
+    _check(parser.given(arguments))
     user_code.allow(*arguments.allow)
     if arguments.arm is not None and arguments.resume is None:
         # Whatever is done with --set, as on other hosts, is done with an arm.
@@ -62,20 +64,40 @@ def main(argv: list[str]) -> int:
         raise
 
 
+# What one asks for -> why, and with what it can be asked for: whatever else is given does nothing.
+_TOGETHER = {
+    "list": ("--list tells what there is", ()),
+    "resume": ("--resume goes on with the run as it was begun", ("deployments",)),
+    "hosts": (
+        "--hosts says what each host does",
+        ("description", "arm", "set", "seed", "quick", "insecure", "ssh"),
+    ),
+}
+
+
+def _check(given: Mapping[str, str]) -> None:
+    """Refuse flags that would do nothing. Raises UserError."""
+    for asked, (why, beside) in _TOGETHER.items():
+        if asked in given:
+            if idle := [flag for name, flag in given.items() if name not in (asked, *beside)]:
+                raise UserError(f"{why}: leave out {idle[0]}")
+            return
+    if "deployments" in given:
+        raise UserError("--deployments extends a run: with --resume; else --set deployment.count=N")
+    if "allow" in given and "origin" not in given:
+        raise UserError("--allow is for --from: the code that a description names is run anyway")
+    if "ssh" in given:
+        raise UserError("--ssh needs --hosts FILE: on which hosts?")
+
+
 def _start(arguments: argparse.Namespace) -> int:
     quick: bool = arguments.quick
     chosen = descriptions.load(arguments.description, arguments.set, arguments.seed, quick)
     team = registry.team_spec(chosen.env.id)
-    if arguments.allow and arguments.origin is None:
-        raise UserError("--allow is for --from: the code that a description names is run anyway")
-    if arguments.deployments is not None:
-        raise UserError("--deployments extends a run: with --resume; else --set deployment.count=N")
-    if arguments.origin is not None and (arguments.hosts or arguments.role):
+    if arguments.origin is not None and arguments.role:
         raise UserError("--from is for a run whose processes are all on one machine")
     if arguments.hosts is not None:
         return _on_hosts(arguments, team, bool(chosen.bus.router))
-    if arguments.ssh:
-        raise UserError("--ssh needs --hosts FILE: on which hosts?")
     place = Place.of(arguments, chosen, team)
     origin = Origin.of(arguments.origin, chosen) if arguments.origin else None
     if origin:
@@ -110,9 +132,6 @@ def _start(arguments: argparse.Namespace) -> int:
 
 
 def _on_hosts(arguments: argparse.Namespace, team: TeamSpec, router: bool) -> int:
-    for flag in ("role", "agent", "listen", "connect", "certs", "out"):
-        if getattr(arguments, flag):
-            raise UserError(f"--hosts says what each host does: leave out --{flag}")
     file = hosts.Hosts.load(arguments.hosts, team)
     every = list(hosts.parts(file, hosts.run_words(arguments), arguments.insecure, router))
     if arguments.insecure:
@@ -124,24 +143,6 @@ def _on_hosts(arguments: argparse.Namespace, team: TeamSpec, router: bool) -> in
 
 
 def _resume(arguments: argparse.Namespace) -> int:
-    given = [
-        flag
-        for flag, value in (
-            ("a description", arguments.description),
-            ("--arm", arguments.arm),
-            ("--set", arguments.set),
-            ("--seed", arguments.seed is not None),
-            ("--out", arguments.out),
-            ("--quick", arguments.quick),
-            ("--dry-run", arguments.dry_run),
-            ("--role", arguments.role),
-            ("--from", arguments.origin),
-            ("--allow", arguments.allow),
-        )
-        if value
-    ]
-    if given:
-        raise UserError(f"--resume goes on with the run as it was begun: leave out {given[0]}")
     folder = RunFolder(arguments.resume.resolve())
     with ExitStack() as stack:
         # A folder without a record is not a run's: no lock in it.
@@ -153,7 +154,7 @@ def _resume(arguments: argparse.Namespace) -> int:
         return conduct(plan.make(description, folder, record.run, record.place), record)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(
         prog="python -m otc_dist.launch",
         description="Run a launch description: data, offline training, deployments, report.",

@@ -48,7 +48,12 @@ _RENEW = timedelta(days=14)  # before the end
 
 def main(argv: list[str]) -> int:
     """Make certificates. Raises UserError for what the user can mend."""
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    if arguments.rules:
+        for name, flag in parser.given(arguments).items():
+            if name not in ("folder", "agents", "rules"):
+                raise UserError(f"{flag} is for certificates, and --rules makes none: leave it out")
     if arguments.agents < 1 or arguments.days < 1:
         raise UserError("--agents and --days must be 1 or more")
     agents = [f"agent_{index}" for index in range(arguments.agents)]
@@ -264,7 +269,7 @@ def _write(folder: Path, contents: dict[str, bytes]) -> None:
         partial.replace(folder / name)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     parser = Parser(
         prog="python -m otc_dist.certs",
         description=DESCRIPTION,

@@ -9,6 +9,18 @@ from otc_dist.errors import UserError, unknown
 class Parser(argparse.ArgumentParser):
     """Reports a mistake as one line, like everything else here."""
 
+    def given(self, arguments: argparse.Namespace) -> dict[str, str]:
+        """What the command line says beyond the defaults: attribute -> the flag, as one writes it.
+
+        A command that leaves some of it unused has to refuse it: whoever gives a flag expects
+        something of it.
+        """
+        return {
+            action.dest: [f"the {action.dest}", *action.option_strings][-1]
+            for action in self._actions
+            if getattr(arguments, action.dest, action.default) != action.default
+        }
+
     def error(self, message: str) -> NoReturn:
         prefix, _, given = message.partition("unrecognized arguments: ")
         if not prefix and given.startswith("-"):

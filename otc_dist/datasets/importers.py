@@ -39,6 +39,9 @@ def import_files(
         if not source.exists():
             raise UserError(f"there is no {source}")
     if len(sources) == 1 and is_agent_file(sources[0]):
+        if level or env_id:
+            flag = "--name" if level else "--env"
+            raise UserError(f"{sources[0]} says which set it is of: leave out {flag}")
         return import_agent_file(sources[0])
     first = next(source for source in sources if not is_log(source))
     if len(sources) > 1:

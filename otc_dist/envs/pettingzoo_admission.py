@@ -100,11 +100,11 @@ def admitted(env_id: str, env: Any) -> Admitted:  # PettingZoo is untyped
         keys = tuple(env.possible_agents)
     if not keys:
         raise UserError(f"{env_id} has no agents")
-    agents = tuple(_agent(env_id, env, key) for key in keys)
     try:
-        check_agents(agent.spec.name for agent in agents)
+        check_agents(map(str, keys))
     except ValueError as error:
         raise UserError(f"{env_id}: {error}") from None
+    agents = tuple(_agent(env_id, env, key) for key in keys)
     specs = tuple(agent.spec for agent in agents)
     state_size, limit = sum(spec.observation_size for spec in specs), _limit(env_id, env)
     return Admitted(TeamSpec(env_id, specs, state_size, limit or MAX_STEPS), agents, limit)

@@ -2,7 +2,7 @@
 
 import argparse
 import signal
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -86,12 +86,30 @@ _ACTIONS: tuple[_Action, ...] = (
 )
 
 
+# Flags that are not for every action -> those for which they are. "": without an action.
+_PICTURES = ("--video", "--sheet", "--html")
+_PARTS = ("", "--export", *_PICTURES, "--verify", "--publish")
+_ONLY_FOR = {
+    "steps": _PARTS,
+    "agent": _PARTS,
+    "episode": (*_PARTS, "--foxglove"),
+    "accept_unbound": ("--verify",),
+    "run": ("--publish",),
+    "rate": ("--publish",),
+    "learners": ("--publish",),
+    "out": ("--export", "--recover"),
+    "force": ("--export", *_PICTURES, "--foxglove", "--recover"),
+}
+
+
 def main(argv: list[str]) -> int:
     """Run one action; its exit status. Raises UserError for what the user can mend."""
-    arguments = _parser().parse_args(argv)
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    chosen = next((a for a in _ACTIONS if getattr(arguments, a.name)), None)
+    _check(parser.given(arguments), chosen, arguments)
     user_code.allow(*arguments.allow)
-    chosen = (action.module for action in _ACTIONS if getattr(arguments, action.name))
-    module = import_module(f"otc_dist.replay.{next(chosen, 'summary')}")
+    module = import_module(f"otc_dist.replay.{chosen.module if chosen else 'summary'}")
     try:
         status: int = module.run(arguments)
     except DamagedLogError as error:
@@ -99,7 +117,22 @@ def main(argv: list[str]) -> int:
     return status
 
 
-def _parser() -> argparse.ArgumentParser:
+def _check(given: Mapping[str, str], action: _Action | None, arguments: argparse.Namespace) -> None:
+    """Refuse flags that would do nothing, and files whose name says that they are another kind."""
+    chosen = action.flag if action else ""
+    for name, flag in given.items():
+        uses = _ONLY_FOR.get(name, (chosen,))
+        if chosen not in uses:
+            when = f"with {chosen}" if chosen else "without an action"
+            them = ", ".join(filter(None, uses))
+            raise UserError(f"{flag} does nothing {when}; it is for {them}: leave it out")
+    if action and action.metavar and action.metavar.startswith("OUT"):
+        ending, out = Path(action.metavar).suffix, Path(getattr(arguments, action.name))
+        if out.suffix.lower() not in ("", ending):
+            raise UserError(f"{chosen} writes {ending}, and {out} is called otherwise")
+
+
+def _parser() -> Parser:
     parser = Parser(
         prog="python -m otc_dist.replay",
         description=DESCRIPTION,

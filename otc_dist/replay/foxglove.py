@@ -31,8 +31,6 @@ Tunings = dict[str, dict[int, Tuning]]  # agent -> deployment
 
 def run(arguments: argparse.Namespace) -> int:
     """Write what Foxglove shows of all files, in order, and say where it is."""
-    if arguments.steps or arguments.agent:
-        raise UserError("--foxglove takes whole logs, or one --episode of one: all agents' steps")
     out = Path(arguments.foxglove)
     with ExitStack() as stack:
         logs = {path: stack.enter_context(OpenLog(path)) for path in arguments.files}

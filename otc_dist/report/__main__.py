@@ -1,5 +1,6 @@
 """`python -m otc_dist.report RUN [RUN ...]`."""
 
+from importlib import import_module
 from pathlib import Path
 
 from otc_dist.errors import run_main
@@ -9,14 +10,20 @@ from otc_dist.run_folder import RunFolder
 
 
 def main(argv: list[str]) -> int:
-    """Write the report of each run folder and print where it is."""
+    """Write the report of each run or comparison, and print where it is."""
     parser = Parser(
         prog="python -m otc_dist.report",
-        description="Write results.json and report.html of runs, finished or not.",
+        description="Write results.json and report.html of runs, finished or not; of comparisons,"
+        " comparison.json and comparison.html.",
     )
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="a run folder")
+    parser.add_argument(
+        "runs", nargs="+", type=Path, metavar="RUN", help="a run's folder, or a comparison's"
+    )
+    # By name: reports of runs know nothing of comparisons, which are made of runs.
+    again = import_module("otc_dist.comparison.again")
     for root in parser.parse_args(argv).runs:
-        print(write_report(RunFolder(root)))
+        write = again.write_again if again.is_comparison(root) else write_report
+        print(write(RunFolder(root)))
     return 0
 
 

@@ -164,7 +164,7 @@ def test_a_damaged_folder_of_scores_is_one_clear_line(
 def test_tables_run_nothing_and_so_take_no_other_flag(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="leave out --seeds"):
         compare.main(["--tables", str(tmp_path), "--seeds", "0"])
-    with pytest.raises(UserError, match="leave out description"):
+    with pytest.raises(UserError, match="leave out the description"):
         compare.main(["3agent_hopper", "--tables", str(tmp_path)])
     with pytest.raises(UserError, match="--picture draws what --tables shows: give both"):
         compare.main(["3agent_hopper", "--picture", str(tmp_path / "a.svg")])

@@ -1,6 +1,10 @@
 import json
 import re
+import shutil
 from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
 
 from otc_dist.comparison import report, tables
 from otc_dist.comparison.arms import Arms
@@ -8,6 +12,8 @@ from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.comparison.statistics import Summary, summarise
 from otc_dist.description import Description
 from otc_dist.envs import registry
+from otc_dist.errors import UserError
+from otc_dist.report.__main__ import main as report_command
 
 from .conftest import SEEDS
 
@@ -54,6 +60,29 @@ def test_the_json_holds_what_the_tables_show(
     first = found["arms"][0]["measures"]["return"]["deployments"][0]
     assert first["mean"] == summary.arms[0].measures["return"].deployments[0].mean
     assert first["std"] is None  # one seed
+
+
+def test_the_report_command_writes_a_comparison_s_page_again(
+    finished: ComparisonFolder,
+    arms: Arms,
+    base: Description,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = ComparisonFolder(Path(shutil.copytree(finished.root, tmp_path / "copy")))
+    for path in (folder.results, folder.report):
+        path.unlink(missing_ok=True)
+    with pytest.raises(UserError, match="no seed is complete yet"):
+        report_command([str(folder.root)])
+    report.write(folder, base, arms, *read(folder, arms, base, *SEEDS), "a quick look")
+    before = {path: path.read_bytes() for path in (folder.results, folder.report)}
+    folder.report.unlink()
+    assert report_command([str(folder.root)]) == 0
+    assert capsys.readouterr().out == f"{folder.report}\n"
+    assert {path: path.read_bytes() for path in before} == before
+    folder.results.write_text('{"label": "", "arms": [{"name": "../../elsewhere"}]}')
+    with pytest.raises(UserError, match=r"comparison\.json is damaged: arms\.0\.name"):
+        report_command([str(folder.root)])
 
 
 def test_the_text_has_a_row_for_every_policy(

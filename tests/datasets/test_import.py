@@ -321,6 +321,9 @@ def test_one_agents_file_is_all_that_its_learners_host_needs(
     assert store.ensure(made.name, agents=["agent_1"]) == card
     there = store.agent_file(made.name, "agent_1")
     assert there != here and there.read_bytes() == here.read_bytes()
+    for level, env_id, flag in (("other", "", "--name"), ("", "hopper-3x1", "--env")):
+        with pytest.raises(UserError, match=f"says which set it is of: leave out {flag}"):
+            import_files([here], level, env_id)
     with pytest.raises(UserError, match=r"no file of agent_0: import agent_0\.safetensors"):
         store.ensure(made.name)
     import_files([here.with_name("agent_0.safetensors")])  # two may learn on one machine

@@ -271,6 +271,7 @@ F32 = np.finfo(np.float32)
         (case(possible_agents=["-a"]), "'-a' is no name"),
         (case(possible_agents=["a", "A"]), "two agents are called 'A'"),
         (case(possible_agents=["a", "host"]), "an agent cannot be called 'host'"),
+        (case(possible_agents=["joint", "single"]), "an agent cannot be called 'joint'"),
         (case(possible_agents=property(raising(OSError("gone")))), "OSError: gone"),
         (case(observation_space=raising(KeyError("left"))), "asked for the spaces of left, it"),
         (case(action_space=raising(SystemExit("bye"))), "raised SystemExit: bye"),

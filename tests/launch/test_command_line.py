@@ -48,9 +48,17 @@ SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
         (["missing.toml"], "cannot read the description missing.toml"),
         ([], "--list"),
         (["--resume", "nowhere"], "is no run folder"),
-        (["3agent_hopper", "--resume", "nowhere"], "leave out a description"),
+        (["3agent_hopper", "--resume", "nowhere"], "leave out the description"),
         (["--resume", "nowhere", "--seed", "0"], "leave out --seed"),
         (["--resume", "nowhere", "--arm", "uniform"], "leave out --arm"),
+        (["--resume", "nowhere", "--certs", "c"], "leave out --certs"),
+        (["--resume", "nowhere", "--hosts", "h.toml"], "leave out --hosts"),
+        (["3agent_hopper", "--list"], "--list tells what there is: leave out the description"),
+        (["--list", "--dry-run"], "--list tells what there is: leave out --dry-run"),
+        (["3agent_hopper", "--hosts", "h.toml", "--ssh", "--dry-run"], "leave out --dry-run"),
+        (["3agent_hopper", "--hosts", "h.toml", "--from", "run"], "leave out --from"),
+        (["3agent_hopper", "--ssh"], "--ssh needs --hosts FILE"),
+        (["3agent_hopper", "--deployments", "3"], "--deployments extends a run"),
         (["3agent_hopper", "--arm", "otc-embeding"], "did you mean 'otc-embedding'?"),
         (["3agent_hopper", "--arm", "perfect"], "is an arm of `launch compare` only"),
     ],
@@ -60,7 +68,8 @@ def test_a_mistake_is_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UserError) as caught:
-        main([*arguments[:1], *(SHORT if "--resume" not in arguments else ()), *arguments[1:]])
+        plain = {"--resume", "--list", "--hosts"} & set(arguments)
+        main([*arguments[:1], *(() if plain else SHORT), *arguments[1:]])
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []  # nothing was begun

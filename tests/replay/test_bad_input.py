@@ -76,6 +76,31 @@ def test_a_damaged_log_points_to_recover(
     assert [p.name for p in tmp_path.iterdir()] == ["log.mcap"]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--out", "foo"], "--out does nothing without an action; it is for --export, --recover"),
+        (["--force"], "--force does nothing without an action"),
+        (["--rate", "2"], "--rate does nothing without an action; it is for --publish"),
+        (["--run", "r"], "--run does nothing without an action"),
+        (["--learners", "--verify"], "--learners does nothing with --verify"),
+        (["--verify", "--out", "foo"], "--out does nothing with --verify"),
+        (["--recover", "--steps", "0:5"], "--steps does nothing with --recover"),
+        (["--recover", "--agent", "agent_0"], "--agent does nothing with --recover"),
+        (["--html", "a.html", "--out", "b.html"], "--out does nothing with --html"),
+        (["--export", "csv", "--accept-unbound"], "--accept-unbound does nothing with --export"),
+        (["--video", "film.gif"], "--video writes .mp4, and film.gif is called otherwise"),
+        (["--sheet", "film.jpg"], "--sheet writes .png"),
+        (["--html", "page.pdf"], "--html writes .html"),
+        (["--foxglove", "all.bag"], "--foxglove writes .mcap"),
+    ],
+)
+def test_what_would_do_nothing_or_be_misnamed_is_refused(
+    recorded: tuple[Recording, Path], refused, arguments: list[str], said: str
+) -> None:
+    assert said in refused(recorded[1], *arguments)
+
+
 def test_the_line_goes_to_the_error_output_and_the_status_is_2(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "otc_dist.replay", str(tmp_path / "none.mcap")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
