@@ -16,7 +16,8 @@ from otc_dist.errors import UserError, unknown
 from otc_dist.parser import Parser
 
 from . import chaos_arena
-from .chaos_faults import FAULTS, Fault, MissedError, Place
+from .chaos_fault import Fault, MissedError, Place
+from .chaos_faults import FAULTS
 from .chaos_outcome import differences, outcome
 from .chaos_run import PHASES, DisturbedRun, StuckError
 
@@ -33,13 +34,17 @@ SHORT_RUN = (
 )
 AIM = 20.0  # seconds that a fault waits for the phase in which it is to strike
 SCATTER = 0.7  # seconds within which it then strikes, at random
-WHOLE = {name: 100 if name.startswith("kill-") else 20 for name in FAULTS if name != "any"}
+PASSING = ("data", "start", "report")  # phases that last a second or two
+BRIEF = 0.3  # seconds within which it strikes in these
+SELDOM = {"kill-preparation": 20, "kill-compiler": 5}  # each takes a run of its own
+WHOLE = {name: 100 if name.startswith("kill-") else 20 for name in FAULTS if name != "any"} | SELDOM
 
 _EXPLANATION = """\
 Runs one short run undisturbed, and then as many as it takes for the faults that are asked for,
-each at a random time. What dies is started again by its launcher; a launcher that dies, or that
-ends because the disk is full, is resumed. At its end every run must have the same weights, the
-same log payloads and the same returns as the undisturbed one, to the byte.
+each at a random time. What dies is started again by its launcher; a launcher that is killed, or
+that ends because the disk is full, is resumed; one that ends by itself has failed. In the end every
+run must have left the same files as the undisturbed one, with the same weights, log payloads,
+returns, metrics, results and report, to the byte, but for names and times.
 """
 
 
@@ -72,16 +77,12 @@ def main(argv: list[str]) -> int:
     start = time.monotonic()
     with chaos_arena.prepared(out) as arena:
         place = Place(out, arena)
-        print(f"{out}: an undisturbed run ...", flush=True)
-        calm = DisturbedRun(out / "undisturbed", SHORT_RUN)
-        with calm:
-            calm.start()
-            calm.finish()
+        calm = _Calm(out)
         tallies: dict[str, Tally] = {}
         try:
             for name, count in wanted.items():
                 tallies[name] = Tally()
-                _inflict(name, count, place, arguments.seed, outcome(calm.folder), tallies[name])
+                _inflict(name, count, place, arguments.seed, calm, tallies[name])
         finally:  # also after Ctrl-C: what was found so far
             print(f"\n{(time.monotonic() - start) / 60:.0f} min, seed {arguments.seed}")
             print("\n".join(_table(tallies)))
@@ -91,22 +92,48 @@ def main(argv: list[str]) -> int:
     return int(wrong)
 
 
-def _inflict(
-    name: str, count: int, place: Place, seed: int, expected: Mapping[str, bytes], tally: Tally
-) -> None:
+class _Calm:
+    """What undisturbed runs leave, each run when it is first asked for."""
+
+    def __init__(self, out: Path) -> None:
+        self._out, self._known = out, dict[tuple[str, ...], dict[str, bytes]]()
+
+    def outcome(self, changes: tuple[str, ...]) -> Mapping[str, bytes]:
+        """Of the run with these flags.
+
+        Raises:
+            UserError: it does not come to its end.
+        """
+        if changes not in self._known:
+            print(
+                f"{self._out}: an undisturbed run{'' if changes == () else ' more'} ...", flush=True
+            )
+            root = self._out / f"undisturbed-{len(self._known)}"
+            try:
+                with DisturbedRun(root, (*SHORT_RUN, *changes)) as run:
+                    run.start()
+                    run.finish()
+            except StuckError as error:
+                raise UserError(f"{root}: undisturbed, and yet: {error}") from None
+            self._known[changes] = outcome(run.folder)
+        return self._known[changes]
+
+
+def _inflict(name: str, count: int, place: Place, seed: int, calm: _Calm, tally: Tally) -> None:
     """Strike `count` times, in as many runs as it takes."""
     make = FAULTS[name]
     tally.skipped = make(place).impossible
+    expected = {} if tally.skipped else calm.outcome(make(place).changes)
     while not tally.skipped and tally.struck < count and len(tally.wrong) < 3:
         fault = make(place)
         numbers = random.Random(f"{seed} {name} {tally.runs}")
         folder = place.room(fault) / f"{name.rstrip('%')}-{tally.runs:03d}"
-        run = DisturbedRun(folder, (*SHORT_RUN, *fault.flags))
+        run = DisturbedRun(folder, (*SHORT_RUN, *fault.flags, *fault.changes), fault.forgiving)
         try:
             with run, fault:
                 _one_run(run, fault, numbers, count, tally)
             wrong = differences(outcome(run.folder), expected)
-        except (StuckError, OSError, UserError) as error:
+        except (StuckError, OSError, UserError, ValueError) as error:
             wrong = [f"{type(error).__name__}: {error}"]
         tally.runs += 1
         if wrong:
@@ -122,28 +149,28 @@ def _one_run(
     run: DisturbedRun, fault: Fault, numbers: random.Random, count: int, tally: Tally
 ) -> None:
     run.start()
-    struck = 0.0
-    while run.settle():
-        if struck:
-            tally.seconds.append(time.monotonic() - struck)
-            struck = 0.0
-        if tally.struck >= count:
+    while not run.over:
+        ahead = [phase for phase in run.phases_ahead if phase in fault.phases]
+        if tally.struck >= count or not ahead:
             run.finish()
             return
-        if not run.wait_for_phase(numbers.choice(run.phases_ahead), AIM):
+        aim = numbers.choice(ahead)
+        if not run.wait_for_phase(aim, AIM):
             return
-        if not run.wait(numbers.uniform(0.0, SCATTER)):
+        if not run.wait(numbers.uniform(0.0, BRIEF if aim in PASSING else SCATTER)):
             return
-        phase = run.phase
+        if (phase := run.phase) not in fault.phases:
+            continue
         try:
             struck = time.monotonic()
             fault.strike(run, numbers)
         except MissedError:
-            struck = 0.0
             run.wait(SCATTER)
             continue
         tally.struck += 1
         tally.phases[phase] += 1
+        if run.settle():
+            tally.seconds.append(time.monotonic() - struck)
 
 
 def _keep(folder: Path, where: Path) -> None:
@@ -153,11 +180,11 @@ def _keep(folder: Path, where: Path) -> None:
 
 
 def _table(tallies: Mapping[str, Tally]) -> list[str]:
-    row = "{:22} {:>7} {:>5} {:>9}  {:>7} {:>9} {:>6} {:>7}  {:>9}"
+    row = "{:18} {:>6} {:>5} {:>9} " + " {:>9}" * len(PHASES) + "  {:>9}"
     lines = [row.format("fault", "struck", "runs", "identical", *PHASES, "back in s")]
     for name, tally in tallies.items():
         if tally.skipped:
-            lines.append(f"{name:22} skipped: {tally.skipped}")
+            lines.append(f"{name:18} skipped: {tally.skipped}")
             continue
         back = f"{statistics.median(tally.seconds):.1f}" if tally.seconds else ""
         same = f"{tally.runs - len(tally.wrong)}"

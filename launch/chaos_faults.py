@@ -4,71 +4,20 @@ import contextlib
 import errno
 import os
 import signal
-import subprocess
-import sys
-import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from random import Random
-from typing import Self
 
 from otc_dist.bus.keys import HOST
 from otc_dist.run_folder import RunFolder
 
-from .chaos_arena import Arena
-from .chaos_run import DisturbedRun
-from .supervisor import die_with_parent
+from .chaos_fault import Fault, MissedError, Place
+from .chaos_links import KillRouter, Links
+from .chaos_run import PHASES, WORKING, DisturbedRun
 from .vital_signs import ProcessState
 
-_TCP = "tcp/127.0.0.1:7447"
-# A router as anybody may run one: nothing of this package's settings.
-_ROUTER = """
-import sys, threading, zenoh
-config = zenoh.Config()
-config.insert_json5("mode", '"router"')
-config.insert_json5("listen/endpoints", f'["{sys.argv[1]}"]')
-config.insert_json5("scouting/multicast/enabled", "false")
-with zenoh.open(config):
-    threading.Event().wait()
-"""
-
-
-class MissedError(Exception):
-    """There was nothing to strike at this time."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where runs are disturbed."""
-
-    out: Path
-    arena: Arena
-
-    def room(self, fault: "Fault") -> Path:
-        """The folder for runs that `fault` strikes."""
-        return self.arena.small if isinstance(fault, FullDisk) else self.out
-
-
-class Fault:
-    """One kind of fault. Used as a context manager around a run."""
-
-    flags: tuple[str, ...] = ()  # of the launcher
-    impossible = ""  # why it cannot be had here
-
-    def __init__(self, place: Place) -> None:
-        self.arena = place.arena
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *failure: object) -> None:
-        pass
-
-    def strike(self, run: DisturbedRun, numbers: Random) -> None:
-        """Raises MissedError if there is nothing to strike now."""
-        raise NotImplementedError
+_ALIVE = ("starting", "up")
 
 
 class KillHost(Fault):
@@ -88,8 +37,35 @@ class KillLearner(Fault):
 class KillLauncher(Fault):
     """SIGKILL to the launcher; its processes end with it, and it is resumed."""
 
+    phases = tuple(phase for phase in PHASES if phase != "compile")
+
     def strike(self, run: DisturbedRun, numbers: Random) -> None:
         run.kill_launcher()
+
+
+class KillPreparation(Fault):
+    """SIGKILL to what makes the data, or the report, beside the processes of a run."""
+
+    phases: tuple[str, ...] = ("data", "report")
+
+    def strike(self, run: DisturbedRun, numbers: Random) -> None:
+        preparing = run.preparing()
+        if preparing is None:
+            raise MissedError
+        _send(preparing[1], signal.SIGKILL)
+
+
+class KillCompiler(KillPreparation):
+    """SIGKILL to what compiles the updates, or to the launcher meanwhile."""
+
+    phases = ("compile",)
+    changes = ("--set", "engine.name=compiled")
+
+    def strike(self, run: DisturbedRun, numbers: Random) -> None:
+        if numbers.random() < 0.5:
+            super().strike(run, numbers)
+        else:
+            run.kill_launcher()
 
 
 class Freeze(Fault):
@@ -97,6 +73,8 @@ class Freeze(Fault):
 
     One in five times it is the launcher, which always goes on.
     """
+
+    phases = WORKING  # one that starts is only found when it should long have started
 
     def strike(self, run: DisturbedRun, numbers: Random) -> None:
         if numbers.random() < 0.2:
@@ -113,6 +91,8 @@ class Freeze(Fault):
 
 class CorruptCheckpoint(Fault):
     """A learner's newest checkpoint is damaged while it is down."""
+
+    phases = WORKING
 
     def strike(self, run: DisturbedRun, numbers: Random) -> None:
         name, process = _victim(run, numbers, learners_only=True)
@@ -133,6 +113,10 @@ class CorruptCheckpoint(Fault):
 class FullDisk(Fault):
     """The file system of the run is filled to its last byte, and freed after a while."""
 
+    phases = (*Fault.phases, "report")
+    small = True
+    forgiving = True
+
     def __init__(self, place: Place) -> None:
         super().__init__(place)
         self.impossible = place.arena.disk
@@ -150,80 +134,30 @@ class FullDisk(Fault):
             self._ballast.unlink()
 
 
-class KillRouter(Fault):
-    """SIGKILL to a router at which all processes meet; another is started after a while."""
-
-    def __init__(self, place: Place) -> None:
-        super().__init__(place)
-        self._folder = tempfile.TemporaryDirectory(prefix="otc-")
-        self.endpoint = f"unixsock-stream/{self._folder.name}/bus"
-        self.flags = ("--set", f"bus.router={self.endpoint}")
-        self._router: subprocess.Popen[bytes] | None = None
-
-    def __enter__(self) -> Self:
-        self._start()
-        return self
-
-    def _start(self) -> None:
-        command = [sys.executable, "-c", _ROUTER, self.endpoint]
-        self._router = subprocess.Popen(command, preexec_fn=die_with_parent())
-
-    def _stop(self) -> None:
-        if self._router is not None:
-            self._router.kill()
-            self._router.wait()
-
-    def __exit__(self, *failure: object) -> None:
-        self._stop()
-        self._folder.cleanup()
-
-    def strike(self, run: DisturbedRun, numbers: Random) -> None:
-        self._stop()
-        run.wait(numbers.choice((0.0, numbers.uniform(0.0, 4.0))))
-        self._start()
-
-
-class Links(KillRouter):
-    """All processes meet at a router by TCP, whose packets are lost for a while.
-
-    Args:
-        percent: of the packets that are lost; 100: the links are cut.
-    """
-
-    def __init__(self, place: Place, percent: int) -> None:
-        super().__init__(place)
-        self.impossible, self._percent = place.arena.net, percent
-        self.endpoint = _TCP
-        self.flags = ("--set", f"bus.router={_TCP}", "--insecure")
-
-    def strike(self, run: DisturbedRun, numbers: Random) -> None:
-        if self._percent == 100:
-            self.arena.cut()
-        else:
-            self.arena.lose(self._percent)
-        try:
-            run.wait(numbers.uniform(0.2, 6.0))
-        finally:
-            self.arena.mend()
-
-
 class Any(Fault):
     """One of those that every machine can have, at random."""
 
-    KINDS = (KillHost, KillLearner, KillLauncher, Freeze, CorruptCheckpoint)
+    KINDS = (KillHost, KillLearner, KillLauncher, KillPreparation, Freeze, CorruptCheckpoint)
+    phases = KillLauncher.phases
 
     def __init__(self, place: Place) -> None:
         super().__init__(place)
         self._faults = [kind(place) for kind in self.KINDS]
 
     def strike(self, run: DisturbedRun, numbers: Random) -> None:
-        numbers.choice(self._faults).strike(run, numbers)
+        phase = run.phase
+        fitting = [fault for fault in self._faults if phase in fault.phases]
+        if not fitting:
+            raise MissedError
+        numbers.choice(fitting).strike(run, numbers)
 
 
 FAULTS: dict[str, Callable[[Place], Fault]] = {
     "kill-host": KillHost,
     "kill-learner": KillLearner,
     "kill-launcher": KillLauncher,
+    "kill-preparation": KillPreparation,
+    "kill-compiler": KillCompiler,
     "kill-router": KillRouter,
     "freeze": Freeze,
     "cut-links": partial(Links, percent=100),
@@ -255,7 +189,7 @@ def _victim(
     processes = {
         name: process
         for name, process in run.processes.items()
-        if not (learners_only and name == HOST) and process.health == "up"
+        if not (learners_only and name == HOST) and process.health in _ALIVE
     }
     if not processes:
         raise MissedError
@@ -265,7 +199,7 @@ def _victim(
 
 def _kill(run: DisturbedRun, name: str) -> None:
     process = run.processes.get(name)
-    if process is None or process.health != "up":
+    if process is None or process.health not in _ALIVE:
         raise MissedError
     _send(process.pid, signal.SIGKILL)
     run.wait_for_restart(name, process.restarts)

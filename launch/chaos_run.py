@@ -1,6 +1,8 @@
 """A run that is disturbed: its launcher, resumed whenever it ends before the run does."""
 
+import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,16 +13,22 @@ from typing import Self
 
 from otc_dist.bus.keys import HOST
 from otc_dist.description.distances import FITS
-from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
-from .run_record import RunRecord
 from .supervisor import die_with_parent
 from .vital_signs import ProcessState, Supervision
 
 PATIENCE = 240.0  # seconds without a change, after which a run is stuck
 LOOK = 0.02  # seconds between two looks
-PHASES = ("offline", "deploying", "tuning", "between")
+# In the order in which a run first comes to them, but that the last deployments and tunings take
+# turns, with what is "between" them. "start": of the launcher, and of the processes after the data.
+WORKING = ("offline", "fits", "deploying", "tuning", "between")
+PHASES = ("data", "compile", "start", *WORKING, "report")
+_PREPARING = {  # by what the launcher starts beside the processes of a run
+    "otc_dist.datasets": "data",
+    "otc_dist.launch.compile": "compile",
+    "otc_dist.report": "report",
+}
 RESUMES = 5  # of a launcher in a row, without its processes coming up
 
 
@@ -29,11 +37,19 @@ class StuckError(Exception):
 
 
 class DisturbedRun:
-    """The launcher of a run in `root`; leaving the context ends it."""
+    """The launcher of a run in `root`, with a cache of its own; leaving the context ends it.
 
-    def __init__(self, root: Path, arguments: Sequence[str]) -> None:
+    A launcher that ends by itself before the run does is a failure.
+
+    Args:
+        forgiving: unless the fault is one with which the launcher may give up, as with a full disk;
+            the run is resumed then.
+    """
+
+    def __init__(self, root: Path, arguments: Sequence[str], forgiving: bool = False) -> None:
         self.folder = RunFolder(root)
-        self._arguments = arguments
+        self._arguments, self._forgiving = arguments, forgiving
+        self._cache = root.with_name(root.name + "-cache")
         self._launcher: subprocess.Popen[bytes] | None = None
         self._resumes = 0
         self._output = root.with_name(root.name + ".log")
@@ -45,6 +61,7 @@ class DisturbedRun:
         if self._launcher is not None and self._launcher.poll() is None:
             self._launcher.terminate()
             self._launcher.wait()
+        shutil.rmtree(self._cache, ignore_errors=True)
         if not any(failure):
             self._output.unlink(missing_ok=True)
 
@@ -59,6 +76,7 @@ class DisturbedRun:
                 stdin=subprocess.DEVNULL,
                 stdout=sink,
                 stderr=sink,
+                env={**os.environ, "OTC_DIST_CACHE": str(self._cache)},
                 preexec_fn=die_with_parent(),
             )
 
@@ -71,15 +89,19 @@ class DisturbedRun:
             return False
         if status == 0:
             return True
-        try:
-            RunRecord.read(self.folder)
-        except UserError as error:
-            raise StuckError(f"the launcher ended with {status} before the run: {error}") from None
-        if self._resumes == RESUMES:
-            raise StuckError(f"the launcher ends with status {status}, again and again")
-        self._resumes += 1
-        self._launch("--resume", str(self.folder.root))
+        if status != -signal.SIGKILL:  # which is ours
+            if not self._forgiving or self._resumes == RESUMES:
+                raise StuckError(f"the launcher ended by itself, {status}: {self._last_line()}")
+            self._resumes += 1
+        if self.folder.run_json.exists():
+            self._launch("--resume", str(self.folder.root))
+        else:  # it was killed before the run had begun
+            self.start()
         return False
+
+    def _last_line(self) -> str:
+        lines = self._output.read_text(encoding="utf-8", errors="replace").splitlines()
+        return lines[-1] if lines else "it printed nothing"
 
     @property
     def processes(self) -> dict[str, ProcessState]:
@@ -148,7 +170,7 @@ class DisturbedRun:
     def kill_launcher(self) -> None:
         """SIGKILL; the kernel ends its children with it."""
         assert self._launcher is not None
-        pids = [process.pid for process in self.processes.values()]
+        pids = [*self._children(), *(process.pid for process in self.processes.values())]
         self._launcher.send_signal(signal.SIGKILL)
         self._launcher.wait()
         deadline = time.monotonic() + PATIENCE
@@ -159,7 +181,34 @@ class DisturbedRun:
     @property
     def phases_ahead(self) -> tuple[str, ...]:
         """The phases that may still come."""
-        return PHASES[1:] if self.folder.evaluation(0).exists() else PHASES
+        if self.folder.evaluation(0).exists():
+            return PHASES[PHASES.index("deploying") :]
+        now = self.phase
+        return PHASES[PHASES.index(now) :] if now in PHASES[:3] else PHASES[3:]
+
+    def preparing(self) -> tuple[str, int] | None:
+        """What the launcher does beside the run's processes, "data", "compile" or "report", and by
+        which process.
+        """
+        for pid, command in self._children().items():
+            for module, phase in _PREPARING.items():
+                if module in command:
+                    return phase, pid
+        return None
+
+    def _children(self) -> dict[int, list[str]]:
+        """The launcher's processes: id -> command line."""
+        assert self._launcher is not None
+        found = {}
+        try:
+            own = Path(f"/proc/{self._launcher.pid}/task/{self._launcher.pid}/children").read_text()
+        except OSError:  # it has ended
+            return {}
+        for pid in map(int, own.split()):
+            with contextlib.suppress(OSError):
+                line = Path(f"/proc/{pid}/cmdline").read_bytes()
+                found[pid] = line.decode(errors="replace").split("\0")
+        return found
 
     def freeze_launcher(self, seconds: float) -> None:
         """SIGSTOP, and SIGCONT after a while."""
@@ -171,10 +220,16 @@ class DisturbedRun:
     @property
     def phase(self) -> str:
         """Where the run stands: one of PHASES."""
+        if preparing := self.preparing():
+            return preparing[0]
         processes = self.processes
+        if not processes or any(process.phase == "starting" for process in processes.values()):
+            return "start"
         phases = {process.phase for name, process in processes.items() if name != HOST}
-        if phases & {"offline", *FITS}:
+        if "offline" in phases:
             return "offline"
+        if phases & {*FITS}:
+            return "fits"
         if "tuning" in phases:
             return "tuning"
         host = processes.get(HOST)

@@ -6,23 +6,27 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 
-from otc_dist import checkpoint, inputs
+from otc_dist import inputs
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
 from otc_dist.datasets.card import FILE_NAME as CARD
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
+from otc_dist.errors import UserError, told
+from otc_dist.processor import libraries
 
 from . import descriptions
 from .approve import waiting_lines
-from .board import Board
+from .board import TRAINING, Board
 from .closing import show_closing
 from .crew import MISTAKE, Crew, DiedError
 from .forecast import Remaining
 from .keep import check_rewards
+from .ledger import Ledger
 from .observer import Sign, Waiting, nobody_of_run, observing
 from .plan import Plan
+from .products import damaged_checkpoints
 from .run_record import RunRecord
 from .signals import Signals
 from .supervisor import Supervisor
@@ -54,44 +58,70 @@ def conduct(plan: Plan, record: RunRecord) -> int:
         print(line, flush=True)
     for remark in registry.remarks(plan.description.env.id):
         print(f"{plan.description.env.id}: {remark}", flush=True)
+    ledger = Ledger(record, plan.folder)
     with Signals() as signals:
         try:
             with Supervisor(signals) as supervisor:
-                description = plan.description
-                record = record.with_inputs(inputs.sources(description), description, plan.folder)
-                _complete(plan, plan.preparations, supervisor, signals)
-                data = inputs.data(description, plan.learners)
-                record = record.with_inputs(data, description, plan.folder)
-                if plan.place.role == "all":
-                    check_rewards(plan.description, plan.learners)
-                if plan.data_folder is not None:
-                    shutil.copyfile(plan.data_folder / CARD, plan.folder.dataset_card)
-                with open_view(title) as view:
-                    _run(plan, record, supervisor, signals, view)
-                    if plan.place.role == "all" and (damage := _discard_damaged(plan)):
-                        view.say(f"{damage}; it and what follows are made again")
-                        _run(plan, record, supervisor, signals, view)
-                record.moved_to("finished", plan.folder)
+                if record.state != "reporting":  # else all is done but the report
+                    _work(plan, ledger, supervisor, signals, title)
+                    ledger.enter("reporting")
                 _complete(plan, plan.conclusions, supervisor, signals)
+                ledger.enter("finished")
             if plan.conclusions:
                 show_closing(plan.folder)
             else:
                 print(f"{title}: finished; the env host has the results")
         except _StoppedError:
             assert signals.stop is not None
-            record.moved_to("stopped", plan.folder)
+            ledger.enter("stopped")
             print(f"stopped by {signals.stop.name}; {go_on}")
             return 128 + signals.stop
         except UserError:
-            record.moved_to("failed", plan.folder)
+            ledger.enter("failed")
             raise
+        except BrokenPipeError:  # of standard output, not of the run
+            raise
+        except OSError as error:
+            with suppress(OSError):
+                ledger.enter("failed")
+            raise UserError(f"{told(error)}; {go_on}") from None
         except DiedError as died:
-            record.moved_to("failed", plan.folder)
+            ledger.enter("failed")
             if not died.told:
                 _explain(died)
             print(go_on)
             return MISTAKE if died.end.status == MISTAKE else 1
     return 0
+
+
+def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, title: str) -> None:
+    """Prepare and run the processes, until they have made all that they are to make.
+
+    Raises:
+        UserError: other inputs than it began with; or a checkpoint is damaged that nobody can make
+            again now.
+    """
+    description, folder = plan.description, plan.folder
+    ledger.note_inputs(inputs.sources(description), description)
+    _complete(plan, plan.preparations, supervisor, signals)
+    ledger.note_inputs(inputs.data(description, plan.learners), description)
+    if plan.place.role == "all":
+        check_rewards(description, plan.learners)
+    if plan.data_folder is not None:
+        shutil.copyfile(plan.data_folder / CARD, folder.dataset_card)
+    with open_view(title) as view:
+        _run(plan, ledger, supervisor, signals, view)
+        # Learners read what they have written before they leave; the disk may damage it later.
+        if damage := damaged_checkpoints(folder, description, plan.place, plan.learners):
+            if plan.place.role != "all":
+                raise UserError(
+                    f"{damage[0][0]}, and the env host has ended, without whose log it cannot be"
+                    " made again: resume the run on all hosts"
+                )
+            view.say(f"{damage[0][0]}; it and what follows are made again")
+            for path in (path for _, paths in damage for path in paths):
+                path.unlink(missing_ok=True)
+            _run(plan, ledger, supervisor, signals, view)
 
 
 def _complete(
@@ -109,14 +139,13 @@ def _complete(
                     raise DiedError(end, end.manner, told=end.status == MISTAKE)
 
 
-def _run(
-    plan: Plan, record: RunRecord, supervisor: Supervisor, signals: Signals, view: View
-) -> None:
+def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, view: View) -> None:
     """Start all processes, and again those that die, and show them until all have ended well."""
     crew = Crew(plan, supervisor)
     board = Board(plan.watched, Remaining(plan.parts), crew.health.lives)
     signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
     over: float | None = None  # when the host ended
+    known = set[int]()  # processes whose libraries are noted
     asked = False  # whether it has been said that a person's approval is awaited
 
     def notice(sign: Sign | Waiting) -> None:
@@ -124,7 +153,7 @@ def _run(
         if not isinstance(sign, Status):  # these come often, and can wait
             signals.wake()
 
-    with observing(plan, record.run, notice), VitalSigns(plan.folder) as vital_signs:
+    with observing(plan, ledger.record.run, notice), VitalSigns(plan.folder) as vital_signs:
         while crew.at_work:
             crew.start_due()
             signals.wait(REFRESH)
@@ -137,6 +166,10 @@ def _run(
                 crew.take(sign)
                 if isinstance(sign, Status):
                     board.take(sign, time.monotonic())
+                    life = crew.health.lives.get(sign.process)
+                    if life and life.pid not in known and sign.phase in TRAINING:
+                        known.add(life.pid)
+                        ledger.note_libraries(libraries(life.pid))
             if signals.stop:
                 raise _StoppedError
             finished = crew.look()
@@ -155,27 +188,6 @@ def _run(
                 view.say(f"{names} did not end {FAREWELL:.0f} s after the host: stopped")
                 supervisor.stop()
                 return
-
-
-def _discard_damaged(plan: Plan) -> str:
-    """Delete each learner's checkpoints from a damaged one on; what is wrong with it, if one is.
-
-    Learners do not read what they have written, so nobody else would notice.
-    """
-    found = ""
-    count = plan.description.deployment.count  # unless the floor ended the deployments
-    tuned = sum(plan.folder.deployment(k).exists() for k in range(1, count + 1))
-    for agent in plan.learners:
-        paths = [plan.folder.checkpoint(agent, k) for k in range(tuned + 1)]
-        for index, path in enumerate(paths):
-            try:
-                checkpoint.read(path)
-            except UserError as error:
-                found = found or str(error).removesuffix("; delete it")
-                for later in paths[index:]:
-                    later.unlink(missing_ok=True)
-                break
-    return found
 
 
 def _explain(died: DiedError) -> None:

@@ -1,7 +1,6 @@
 """`launch NAME`: from the command line to a run folder that is ready to be conducted."""
 
 import argparse
-import errno
 import sys
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -50,18 +49,11 @@ def main(argv: list[str]) -> int:
         for name, path in shipped.items():
             print(f"{name:{width}} {Description.load(path).heading}")
         return 0
-    try:
-        if arguments.resume is not None:
-            return _resume(arguments)
-        if arguments.description is None:
-            raise UserError("which description? --list shows those that come with the package")
-        return _start(arguments)
-    except OSError as error:
-        if error.errno == errno.ENOSPC:
-            raise UserError(
-                f"no disk space left: {error.filename or 'in the run folder'}"
-            ) from None
-        raise
+    if arguments.resume is not None:
+        return _resume(arguments)
+    if arguments.description is None:
+        raise UserError("which description? --list shows those that come with the package")
+    return _start(arguments)
 
 
 # What one asks for -> why, and with what it can be asked for: whatever else is given does nothing.

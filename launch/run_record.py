@@ -1,6 +1,5 @@
 """run.json and the lock: what a run is, where it stands, and who may go on with it."""
 
-import fcntl
 import hashlib
 import json
 import os
@@ -15,18 +14,21 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal, Self
 
-from otc_dist import __version__, durable, user_code
+from otc_dist import __version__, durable, locks, user_code
 from otc_dist.description import Description
 from otc_dist.errors import UserError
-from otc_dist.inputs import Digests, check
+from otc_dist.processor import kind
 from otc_dist.run_folder import RunFolder
 
+from . import products
 from .place import Place
 
-State = Literal["running", "stopped", "failed", "finished"]
+# "reporting": all is done but the report. "finished" is the last thing that is written.
+State = Literal["running", "stopped", "failed", "reporting", "finished"]
 # What can change a run's bits. A run goes on only with the versions that it began with.
 _LOCK = ".lock"  # held by the launcher that is at work, the first file of a run folder
 _ODD = r"[^A-Za-z0-9_.-]"  # what may not stand in the bus's keys
+_LISTS = ("resumed", "extended", "processors", "libraries")  # fields of run.json
 PACKAGES = ("torch", "mujoco", "numpy", "scipy", "eclipse-zenoh", "mcap")
 
 
@@ -40,11 +42,13 @@ class RunRecord:
     versions: dict[str, str]
     started: str  # UTC, ISO 8601
     state: State = "running"
-    finished: str | None = None  # UTC, ISO 8601
+    finished: str | None = None  # all but the report; UTC, ISO 8601
     quick: bool = False
     place: Place = field(default_factory=Place)  # what of the run this folder is of
     resumed: tuple[str, ...] = ()  # when --resume went on with it
     extended: tuple[int, ...] = ()  # to how many deployments --deployments extended it
+    processors: tuple[str, ...] = ()  # the kinds that it has run on, in order; see `processor.kind`
+    libraries: tuple[str, ...] = ()  # paths of those that computed
     inputs: Mapping[str, str] = field(default_factory=dict)  # see `otc_dist.inputs`
     origin: str | None = None  # the run whose policies pi_0 it began with; None: it trained them
 
@@ -52,21 +56,10 @@ class RunRecord:
         """Replace run.json in one step."""
         durable.write(folder.run_json, (json.dumps(asdict(self), indent=2) + "\n").encode())
 
-    def with_inputs(self, found: Digests, description: Description, folder: RunFolder) -> Self:
-        """The record with what was not noted yet, written.
-
-        Raises:
-            UserError: an input is another one than was noted.
-        """
-        check(self.inputs, found, description)
-        record = replace(self, inputs={**found, **self.inputs})
-        if record != self:
-            record.write(folder)
-        return record
-
     def moved_to(self, state: State, folder: RunFolder) -> Self:
         """The record with another state, written."""
-        record = replace(self, state=state, finished=_now() if state == "finished" else None)
+        done = state in ("reporting", "finished")
+        record = replace(self, state=state, finished=(self.finished or _now()) if done else None)
         record.write(folder)
         return record
 
@@ -76,7 +69,7 @@ class RunRecord:
         try:
             fields = json.loads(folder.run_json.read_text(encoding="utf-8"))
             place = Place(**fields.get("place", {}))
-            lists = {name: tuple(fields.get(name, ())) for name in ("resumed", "extended")}
+            lists = {name: tuple(fields.get(name, ())) for name in _LISTS}
             return cls(**{**fields, **lists, "place": place})
         except FileNotFoundError:
             raise UserError(f"{folder.root} is no run folder: it has no run.json") from None
@@ -120,6 +113,7 @@ def create(
         started=started,
         quick=quick,
         place=place,
+        processors=(kind(),),
         origin=str(origin) if origin else None,
     )
     durable.write(folder.description, description.to_toml().encode())
@@ -141,21 +135,51 @@ def _own_name(folder: RunFolder, started: str) -> str:
 def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
     """The record and description of a run to go on with, marked as running again.
 
+    A finished one goes on if something that it made is missing or damaged: that is made again. The
+    parts of one on several hosts always do, since another part may need them for that.
+
     Raises:
         UserError: no run folder; finished already; another description or other versions now.
     """
     record = RunRecord.read(folder)
-    if record.state == "finished":
-        raise UserError(
-            f"{folder.root} is finished; see {folder.report}; --deployments N extends it"
-        )
     description = Description.load(folder.description)
     user_code.allow(*description.code)
     if description.digest() != record.description:
         raise changed(folder)
+    state: State = "running"
+    if record.state in ("reporting", "finished"):
+        state = _after_the_end(folder, description, record)
     check_versions(record, folder)
-    record = replace(record, resumed=(*record.resumed, _now()))
-    return record.moved_to("running", folder), description
+    record = _on_this_processor(record, folder)
+    return replace(record, resumed=(*record.resumed, _now())).moved_to(state, folder), description
+
+
+def _on_this_processor(record: RunRecord, folder: RunFolder) -> RunRecord:
+    """The record with this kind of processor; if it is another one, a line says what that means."""
+    here, before = kind(), record.processors[-1:]
+    if before == (here,):
+        return record
+    if before:
+        print(
+            f"{folder.root} ran on {before[0]}, and this is {here}: products are rounded otherwise,"
+            " so it goes on from its checkpoints as they are, but not to the bytes that it would"
+            " have come to there",
+            flush=True,
+        )
+    return replace(record, processors=(*record.processors, here))
+
+
+def _after_the_end(folder: RunFolder, description: Description, record: RunRecord) -> State:
+    """From where a run goes on that had come to its end. Raises UserError if all of it is there."""
+    if (lost := products.lost_work(folder, description, record.place)) is not None:
+        print(f"{lost}: it is made again", flush=True)
+        return "running"
+    if record.state == "reporting" or products.lost_report(folder, record.place):
+        return "reporting"
+    if record.place.role != "all":
+        print("this part is finished; it takes part again for those that are not", flush=True)
+        return "running"
+    raise UserError(f"{folder.root} is finished; see {folder.report}; --deployments N extends it")
 
 
 def changed(folder: RunFolder) -> UserError:
@@ -188,7 +212,7 @@ def rejoin(folder: RunFolder, description: Description, place: Place) -> RunReco
     if part != (description.digest(), place.role, place.agent):
         raise UserError(f"{folder.root} is of another run, or of another part; use another --out")
     record, _ = reopen(folder)
-    return replace(record, place=place).moved_to("running", folder)
+    return replace(record, place=place).moved_to(record.state, folder)
 
 
 @contextmanager
@@ -198,13 +222,26 @@ def locked(folder: RunFolder) -> Iterator[None]:
     Raises:
         UserError: another launcher holds it.
     """
-    descriptor = os.open(folder.root / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    path = folder.root / _LOCK
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise UserError(f"another launcher is at work in {folder.root}") from None
+        if not locks.take(descriptor, path):
+            raise UserError(f"another launcher is at work in {folder.root}")
         yield
+    finally:
+        os.close(descriptor)
+
+
+def launched(folder: RunFolder) -> bool | None:
+    """Whether a launcher is at work there, without writing anything; None: no lock tells."""
+    try:
+        descriptor = os.open(folder.root / _LOCK, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return False
+    except OSError:  # of somebody else, who lets us read the rest
+        return None
+    try:
+        return locks.held(descriptor)
     finally:
         os.close(descriptor)
 

@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from otc_dist.bus.messages import Status
-from otc_dist.errors import UserError
 from otc_dist.parser import Parser
 from otc_dist.run_folder import RunFolder
 
@@ -40,7 +39,7 @@ def main(argv: list[str]) -> int:
     record = RunRecord.read(folder)
     launched = _launched(folder)
     state: str = record.state
-    if state == "running" and not launched:
+    if state in ("running", "reporting") and not launched:
         state = "interrupted"
     supervision = Supervision.read(folder) if launched else None
     if arguments.json:
@@ -59,12 +58,18 @@ def main(argv: list[str]) -> int:
 
 
 def _launched(folder: RunFolder) -> bool:
-    """Whether a launcher holds the folder."""
-    try:
-        with run_record.locked(folder):
-            return False
-    except UserError:
-        return True
+    """Whether a launcher is at work there."""
+    held = run_record.launched(folder)
+    if held is not None:
+        return held
+    supervision = Supervision.read(folder)
+    # No lock tells. Before its processes are started, there is nothing that would.
+    return supervision is None or _silence(supervision) <= _LATE
+
+
+def _silence(supervision: Supervision) -> float:
+    """Seconds since the launcher's last word."""
+    return (datetime.now(UTC) - datetime.fromisoformat(supervision.written)).total_seconds()
 
 
 def _lines(folder: RunFolder, state: str, supervision: Supervision | None) -> Iterator[str]:
@@ -74,8 +79,7 @@ def _lines(folder: RunFolder, state: str, supervision: Supervision | None) -> It
     if supervision is None:
         return
     yield from waiting_lines(folder)
-    silence = (datetime.now(UTC) - datetime.fromisoformat(supervision.written)).total_seconds()
-    if silence > _LATE:
+    if (silence := _silence(supervision)) > _LATE:
         yield f"the launcher (process {supervision.launcher}) has said nothing for {silence:.0f} s"
     if supervision.seconds_left is not None:
         yield f"about {forecast.duration(supervision.seconds_left)} to go"

@@ -1,8 +1,13 @@
 """Writing a file so that it is there whole, whatever happens, or not at all."""
 
+import errno
+import logging
 import os
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
+
+log = logging.getLogger(__name__)
 
 
 def write(path: Path, content: bytes) -> None:
@@ -27,9 +32,28 @@ def write(path: Path, content: bytes) -> None:
 
 
 def sync(path: Path) -> None:
-    """Force a file, or the names in a folder, to the disk. Raises OSError."""
+    """Force a file, or the names in a folder, to the disk.
+
+    Of a folder whose file system cannot do that, it is said in one line.
+
+    Raises:
+        OSError: the disk is full, ...
+    """
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS) or not path.is_dir():
+            raise
+        _tell(path)
     finally:
         os.close(handle)
+
+
+@cache
+def _tell(folder: Path) -> None:
+    log.warning(
+        "%s is on a file system whose folders cannot be forced to the disk: a power cut may undo"
+        " the newest changes of names there",
+        folder,
+    )

@@ -2,6 +2,7 @@
 
 import contextlib
 import difflib
+import errno
 import os
 import sys
 import threading
@@ -21,6 +22,14 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     return UserError(f"unknown {kind} {name!r}; {hint}")
 
 
+def told(error: OSError) -> str:
+    """What the system refused, in a line: the file and why."""
+    reason = os.strerror(error.errno) if error.errno else str(error) or type(error).__name__
+    if error.errno == errno.ENOSPC:
+        reason = "no disk space left"
+    return f"{error.filename}: {reason}" if error.filename else reason
+
+
 def run_main(main: Callable[[list[str]], int]) -> None:
     """Run a command's `main(argv)` and exit: one clear line and status 2 for a UserError."""
     try:
@@ -33,6 +42,9 @@ def run_main(main: Callable[[list[str]], int]) -> None:
     except BrokenPipeError:  # the reader of our output (`| head`) has gone
         sys.stderr.close()
         status = 141
+    except OSError as error:  # a folder that cannot be read or written, a full disk
+        print(f"error: {told(error)}", file=sys.stderr)
+        status = 2
     leave(status)
 
 

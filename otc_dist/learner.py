@@ -310,6 +310,10 @@ class Learner:
         if found.tuned > 0:
             self._alpha = Alpha(found.alpha, found.similarity)
 
+    def check(self, path: Path) -> None:
+        """Whether `load` could take over a checkpoint. Raises UserError as it does."""
+        checkpoint.check_fits(path, checkpoint.read(path)[1], self._progressed())
+
     def restore(self, online: Sequence[Transitions]) -> None:
         """After `load`: merge D_1 .. D_tuned again, in order."""
         for data in online:

@@ -94,8 +94,9 @@ class LearnerService:
                 self._learner = self._fresh()
         else:
             if self._run.description.offline.policies:
+                first = self._folder.checkpoint(self._name, 0)
                 raise UserError(
-                    f"{paths[-1]} is missing or damaged: this run did not train it but took it from"
+                    f"{first} is missing or damaged: this run did not train it but took it from"
                     " another one (--from); begin a new run"
                 )
         self._buffer_complete = self._learner.tuned <= 0
@@ -132,6 +133,7 @@ class LearnerService:
         if moment.phase == "done" or question.observations is None:
             tuned = min(moment.policy, self._last)
             self._reach(tuned)
+            self._mend(tuned)
             self._judge.recommend(moment.deployment, tuned)
             self._answer(Action(moment, None, self._digest))
             return True
@@ -174,6 +176,22 @@ class LearnerService:
                 self._pretrain()
             else:
                 self._tune(self._learner.tuned + 1)
+
+    def _mend(self, tuned: int) -> None:
+        """Make again what the disk has damaged of its checkpoints since they were written.
+
+        Nobody has read them since, and the env host, whose log that takes, is about to leave.
+        """
+        paths = [self._folder.checkpoint(self._name, k) for k in range(tuned + 1)]
+        for k, path in enumerate(paths):
+            try:
+                self._learner.check(path)
+            except UserError as error:
+                log.warning("%s: it and what follows are made again", error)
+                for later in paths[k:]:
+                    later.unlink(missing_ok=True)
+                self._load(k - 1)
+                return self._reach(tuned)
 
     def _tune(self, k: int) -> None:
         """Line 5 to 16 of Algorithm 1: D_k joins the buffer, alpha adapts, L updates follow.

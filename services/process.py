@@ -19,7 +19,7 @@ from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.replies import RunSpec
 from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
-from otc_dist.errors import UserError, leave
+from otc_dist.errors import UserError, leave, told
 from otc_dist.exploration import Schedule
 from otc_dist.inputs import Digests, check
 from otc_dist.parser import Parser
@@ -50,6 +50,7 @@ class Run:
     team: TeamSpec
     keys: Keys
     inputs: Digests  # with which it began; see there
+    moved: bool  # whether it has come from another kind of processor
 
     @classmethod
     def open(cls, root: Path) -> Self:
@@ -64,6 +65,7 @@ class Run:
         try:
             record = json.loads(folder.run_json.read_text(encoding="utf-8"))
             run, noted = record["run"], dict(record.get("inputs", {}))
+            moved = len(record.get("processors", ())) > 1
         except (OSError, ValueError, KeyError, TypeError):
             raise UserError(f"{folder.run_json} does not name the run; is {root} one?") from None
         size, copies = description.deployment.transitions, description.env.copies
@@ -73,7 +75,7 @@ class Run:
                 f" no multiple of env.copies ({copies})"
             )
         keys = Keys(str(run), description.shared_digest())
-        return cls(folder, description, team_spec(description.env.id), keys, noted)
+        return cls(folder, description, team_spec(description.env.id), keys, noted, moved)
 
     def check(self, found: Digests) -> None:
         """Raises UserError if an input is another one than when the run began."""
@@ -164,6 +166,9 @@ def serve(body: Callable[[], None]) -> None:
         status = 2
     except (FailureError, GaveUpError) as error:
         print(f"error: {error}", file=sys.stderr)
+        status = 1
+    except OSError as error:  # a full disk, a folder that went
+        print(f"error: {told(error)}", file=sys.stderr)
         status = 1
     except _StoppedError as stopped:
         print(f"stopped by {signal.Signals(stopped.number).name}", file=sys.stderr)

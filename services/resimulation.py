@@ -1,5 +1,6 @@
 """Bringing a simulator to where an unfinished log ends, by playing the log again."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
@@ -11,36 +12,46 @@ from otc_dist.transitions import JointStep
 
 from .process import FailureError
 
+_ENDS = ("step", "episode_seeds", "terminated", "truncated")  # which say how an episode goes on
 
-def resimulate(rollout: Rollout, path: Path, steps: int) -> JointStep | None:
+
+def resimulate(rollout: Rollout, path: Path, steps: int, moved: bool) -> JointStep | None:
     """Advance a fresh `rollout` by the first `steps` logged steps; returns the last of them.
 
+    Args:
+        moved: the run has come to another kind of processor, on which simulators round otherwise.
+            Then each step begins from its logged state, as far as the environment can be set to
+            one, and the log stays as it is.
+
     Raises:
-        FailureError: a step does not come out as it was logged, to the bit.
+        FailureError: a step does not come out as it was logged, to the bit, or if `moved` an
+            episode does not end where it ended.
     """
-    last = None
+    last, compared = None, _ENDS if moved else tuple(field.name for field in fields(JointStep))
     for logged in read_steps(path, 0, steps):
+        if moved:
+            rollout.go_to(logged.state)
         last = rollout.advance(logged.actions, logged.exploring)
-        wrong = _difference(last, logged)
-        if wrong:
+        if wrong := _difference(last, logged, compared):
             raise FailureError(
                 f"{path}: step {logged.step} does not come out as it was logged ({wrong} differs):"
                 " this simulator is not the one that began the deployment"
             )
+        last = logged
     return last
 
 
-def _difference(step: JointStep, logged: JointStep) -> str | None:
-    """Name of the first field that differs in a bit; None if all are equal."""
-    for field in fields(JointStep):
-        mine, theirs = getattr(step, field.name), getattr(logged, field.name)
+def _difference(step: JointStep, logged: JointStep, compared: Sequence[str]) -> str | None:
+    """Name of the first of the compared fields that differs in a bit; None if all are equal."""
+    for name in compared:
+        mine, theirs = getattr(step, name), getattr(logged, name)
         if isinstance(mine, np.ndarray):
             mine, theirs = (mine,), (theirs,)
         elif not (isinstance(mine, tuple) and isinstance(mine[0], np.ndarray)):
             if mine != theirs:
-                return field.name
+                return name
             continue
         for a, b in zip(mine, theirs, strict=True):
             if a.tobytes() != b.tobytes():
-                return field.name
+                return name
     return None

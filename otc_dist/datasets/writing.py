@@ -1,7 +1,6 @@
 """Writing a data set: all of it or nothing, by one process at a time."""
 
 import errno
-import fcntl
 import logging
 import os
 import shutil
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import otc_dist
-from otc_dist import durable
+from otc_dist import durable, locks
 from otc_dist.datasets.agent_files import FORMAT_VERSION, Header, encode
 from otc_dist.datasets.card import (
     FILE_NAME,
@@ -30,6 +29,7 @@ from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.transitions import Float64
 
+_LOCK = ".lock"
 _STAGING = ".making-"  # a set that is being written; never read
 
 _log = logging.getLogger(__name__)
@@ -66,14 +66,12 @@ def locked(name: DatasetName) -> Iterator[None]:
     folder = name.folder
     with _disk_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        handle = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+        handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         with _disk_errors(folder):
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+            if not locks.take(handle, folder / _LOCK):
                 _log.warning("another process is making %s; waiting for it", name)
-                fcntl.flock(handle, fcntl.LOCK_EX)
+                locks.take(handle, folder / _LOCK, wait=True)
         for left_behind in folder.glob(f"{_STAGING}*"):  # by a process that was killed
             shutil.rmtree(left_behind, ignore_errors=True)
         yield

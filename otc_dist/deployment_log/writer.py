@@ -1,6 +1,5 @@
 """Write a deployment's log ahead: a step is in the file before the next one is published."""
 
-import fcntl
 import os
 import time
 from collections.abc import Mapping
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from mcap.writer import Writer
 
-from otc_dist import durable
+from otc_dist import durable, locks
 from otc_dist.deployment_log.finishing import begin, write_finished
 from otc_dist.deployment_log.format import DamagedLogError, partial_path
 from otc_dist.deployment_log.header import LogHeader
@@ -152,9 +151,7 @@ class LogWriter:
 def _open_locked(partial: Path) -> int:
     """Open for appending, so that no second process writes the same log."""
     file = os.open(partial, os.O_RDWR | os.O_APPEND | os.O_CLOEXEC)
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    if not locks.take(file, partial):
         os.close(file)
         raise UserError(f"{partial} is being written by another process") from None
     return file

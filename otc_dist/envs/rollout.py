@@ -1,6 +1,7 @@
 """Playing a batched environment in lock-step, with every episode's seed known beforehand."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.envs.base import BatchedEnv, Contest, Versioned
+from otc_dist.errors import UserError
 from otc_dist.randomness import derive_seed
 from otc_dist.transitions import Bool, Float32, Float64, JointStep
 
@@ -74,6 +76,16 @@ class Rollout:
                 seed = derive_seed(self._seed, self._phase, self._deployment, copy, number)
             self._seeds[copy] = seed
         self._env.reset(which, self._seeds[which])
+
+    def go_to(self, state: Float64) -> None:
+        """Set all copies to `state` (E, state_size), where the environment can be set to one and is
+        in another; episodes and their numbers stay.
+        """
+        if self._env.state().tobytes() == state.tobytes():
+            return
+        with suppress(UserError):  # of the user's own, whose states can only be compared
+            self._env.set_state(state)
+            self.observations = self._env.observe()
 
     def advance(self, actions: Sequence[Float32], exploring: tuple[bool, ...]) -> JointStep:
         """Step all copies with `actions`, N x (E, action_size), and reset those that ended.

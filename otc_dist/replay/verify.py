@@ -16,6 +16,7 @@ from otc_dist.deployment_log.seeds import SeedCheck
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.exploration import Schedule
+from otc_dist.processor import kind
 from otc_dist.progress import shown
 from otc_dist.replay import resimulation
 from otc_dist.replay.policies import check_policies
@@ -53,6 +54,7 @@ def _findings(arguments: argparse.Namespace, path: Path) -> Iterator[Finding]:
             yield _sequence(summary)
             yield _episodes(log, summary)
             yield _seeds(log, selection)
+            yield from _processor(log.header)
             yield from _simulation(log, _steps(log, selection, f"{path.name}: playing it again"))
             steps = _steps(log, selection, f"{path.name}: acting again")
             yield from _description(summary, selection, steps)
@@ -90,6 +92,13 @@ def _binding(header: LogHeader, *, accept: bool) -> Finding:
         " another run, deployment or description"
     )
     return (0, f"unbound, as accepted: {text}") if accept else (UNBOUND, text)
+
+
+def _processor(header: LogHeader) -> Iterator[Finding]:
+    """What to think of differences that follow, where the log was written on another kind."""
+    there, here = header.versions.get("processor"), kind()
+    if there is not None and there != here:
+        yield None, f"written on {there}, and this is {here}: what they round differently differs"
 
 
 def _sequence(summary: LogSummary) -> Finding:

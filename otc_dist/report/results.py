@@ -112,7 +112,7 @@ def results(run: RunData) -> dict[str, object]:
         "label": QUICK_LABEL if run.quick else None,
         "verdict": asdict(verdict(run)),
         "complete": run.complete,
-        "state": run.record.get("state"),
+        "state": run.state,
         "missing": run.problems,
         "name": run.description.name,
         "environment": run.description.env.id,

@@ -86,6 +86,12 @@ class RunData:
         return float(mean) if isinstance(mean, int | float) and math.isfinite(mean) else None
 
     @property
+    def state(self) -> object:
+        """As run.json has it, which calls a run finished when its report is written."""
+        state = self.record.get("state")
+        return "finished" if state == "reporting" else state
+
+    @property
     def complete(self) -> bool:
         """All deployments took place, or all before the floor, and their evaluations."""
         settings = self.description.deployment
@@ -228,13 +234,18 @@ def _number(value: object) -> float:
 
 
 def _lines(path: Path) -> Iterator[dict[str, object]]:
-    """The JSON objects of a file, one a line; a last line that was cut off is left out."""
+    """The JSON objects of a file, one a line; a last line that was cut off is left out.
+
+    So is the beginning of one that another was written behind, as earlier versions did.
+    """
     lines = path.read_text(encoding="utf-8").splitlines()
     for i, text in enumerate(lines):
         try:
             yield json.loads(text)
         except ValueError:
-            if i != len(lines) - 1:
+            if (whole := text.rfind('{"phase"')) > 0:
+                yield json.loads(text[whole:])
+            elif i != len(lines) - 1:
                 raise
 
 

@@ -1,5 +1,9 @@
 """Write a run's `results.json` and `report.html`."""
 
+import errno
+import logging
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from otc_dist.errors import UserError
@@ -8,20 +12,45 @@ from otc_dist.report.run_data import read_run
 from otc_dist.report.run_page import render
 from otc_dist.run_folder import RunFolder
 
+log = logging.getLogger(__name__)
+
+_NOT_OURS = (errno.EACCES, errno.EPERM, errno.EROFS)
+
 
 def write_report(folder: RunFolder) -> Path:
     """Make both files from what the run folder holds so far; returns the page's path.
+
+    Where one may look at the run but not write in it, they are made in the current folder, under
+    the run's name.
 
     Raises:
         UserError: no run folder, or the files cannot be written.
     """
     run = read_run(folder)
-    for path, text in ((folder.results, to_json(results(run))), (folder.report, render(run))):
+    contents = {folder.results: to_json(results(run)), folder.report: render(run)}
+    try:
+        try:
+            _write(contents)
+            return folder.report
+        except OSError as error:
+            if error.errno not in _NOT_OURS:
+                raise
+        name = folder.root.resolve().name
+        log.warning("%s cannot be written: its report is made here", folder.root)
+        here = {path: Path(f"{name}-{path.name}").absolute() for path in contents}
+        _write({here[path]: text for path, text in contents.items()})
+        return here[folder.report]
+    except OSError as error:
+        raise UserError(f"{error.filename} cannot be written: {error.strerror}") from None
+
+
+def _write(contents: Mapping[Path, str]) -> None:
+    for path, text in contents.items():
         partial = path.with_name(path.name + ".partial")
         try:
             partial.write_text(text, encoding="utf-8")
             partial.replace(path)
         except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise UserError(f"{path} cannot be written: {error.strerror}") from None
-    return folder.report
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
+            raise OSError(error.errno, error.strerror, str(path)) from None

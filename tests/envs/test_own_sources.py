@@ -98,13 +98,14 @@ BEGIN = """
 from pathlib import Path
 from otc_dist import inputs
 from otc_dist.launch import descriptions, resolve, run_record
+from otc_dist.launch.ledger import Ledger
 from otc_dist.launch.place import Place
 small = ("env.id=pkg:parallel_env", "dataset.name=random", "dataset.transitions=100",
          "algorithm.name=td3bc", "engine.name=eager")
 description = resolve.resolve(descriptions.load("navigation", small, None, quick=False))
 folder = run_record.make_folder(Path("run"), needed=0)
 record = run_record.create(folder, description, quick=False, place=Place())
-record.with_inputs(inputs.sources(description), description, folder)
+Ledger(record, folder).note_inputs(inputs.sources(description), description)
 """
 
 

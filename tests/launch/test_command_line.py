@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from otc_dist.description import Description
-from otc_dist.errors import UserError
+from otc_dist.errors import UserError, run_main
 from otc_dist.launch import descriptions, run_record
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.place import Place
 from otc_dist.launch.resolve import resolve
+from otc_dist.processor import kind
 from otc_dist.run_folder import RunFolder
 
 SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
@@ -145,12 +146,6 @@ def test_a_run_that_was_killed_before_it_began_is_begun_again(
         run_record.make_folder(run.root, needed=0)
 
 
-def test_a_finished_run_is_not_resumed(run: RunFolder) -> None:
-    run_record.RunRecord.read(run).moved_to("finished", run)
-    with pytest.raises(UserError, match=r"is finished; see .*report\.html"):
-        main(["--resume", str(run.root)])
-
-
 def test_a_changed_description_is_not_resumed(run: RunFolder) -> None:
     run.description.write_text(_tiny().with_assignments("seed=9").to_toml())
     with pytest.raises(UserError, match="has changed since the run began"):
@@ -163,6 +158,37 @@ def test_other_versions_do_not_resume(run: RunFolder) -> None:
     run.run_json.write_text(json.dumps(record))
     with pytest.raises(UserError, match=r"begun with torch 1\.0"):
         main(["--resume", str(run.root)])
+
+
+def test_another_kind_of_processor_is_said_once_and_the_run_goes_on(
+    run: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = json.loads(run.run_json.read_text())
+    assert record["processors"] == [kind()]
+    run.run_json.write_text(json.dumps({**record, "processors": ["Another 7 (avx2)"]}))
+    capsys.readouterr()
+    reopened, _ = run_record.reopen(run)
+    assert reopened.processors == ("Another 7 (avx2)", kind())
+    (line,) = capsys.readouterr().out.splitlines()
+    assert "ran on Another 7 (avx2), and this is" in line and "as they are" in line
+    run_record.reopen(run)
+    assert capsys.readouterr().out == ""
+
+
+def test_what_the_system_refuses_the_launcher_is_one_line(
+    run: RunFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run.root.joinpath("output").touch()  # where a folder is to be
+    with pytest.raises(UserError, match=r"run/output: File exists; resume with: python"):
+        main(["--resume", str(run.root)])
+    assert run_record.RunRecord.read(run).state == "failed"
+    run.description.chmod(0o000)
+    monkeypatch.setattr("sys.argv", ["launch", "--resume", str(run.root / "description.toml")])
+    with pytest.raises(SystemExit) as ended:
+        run_main(main)
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and len(error.splitlines()) == 1
 
 
 def test_a_damaged_record_is_one_line(run: RunFolder) -> None:

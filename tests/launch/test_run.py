@@ -19,6 +19,7 @@ from otc_dist.datasets.importers import import_files
 from otc_dist.errors import UserError
 from otc_dist.launch import descriptions, run_record
 from otc_dist.launch.__main__ import main
+from otc_dist.launch.ledger import Ledger
 from otc_dist.launch.place import Place
 from otc_dist.launch.resolve import resolve
 from otc_dist.launch.run_record import RunRecord
@@ -100,8 +101,54 @@ def test_a_checkpoint_that_the_disk_damages_unseen_is_made_again(
     folder.checkpoint("agent_1", 1).write_bytes(b"")
     hold.release()
     assert launcher.finish() == 0, launcher.text
-    assert "checkpoint_01.safetensors is damaged" in launcher.text
+    assert "checkpoint_01.safetensors is damaged" in folder.output("agent_1").read_text()
     same(folder, finished[0])
+
+
+def test_a_launcher_killed_while_the_report_is_made_goes_on_with_the_report(
+    finished: tuple[RunFolder, Launcher],
+    launch: Launch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The report is also what is made again of a finished run that lost it."""
+    folder, reference = RunFolder(tmp_path / "run"), finished[0]
+    shutil.copytree(reference.root, folder.root)
+    folder.report.unlink()
+    held = folder.results.with_name("results.json.partial")
+    os.mkfifo(held)
+    launcher = launch("--resume", str(folder.root))
+    with held.open("rb"):  # it writes there: it is about to make the report
+        launcher.process.kill()
+        assert RunRecord.read(folder).state == "reporting"
+    held.unlink()
+    launcher.finish()
+    assert status_of(folder.root, capsys)["state"] == "interrupted"
+
+    resumed = launch("--resume", str(folder.root))
+    assert resumed.finish() == 0, resumed.text
+    assert str(folder.report) in resumed.lines[-1] and "agent_0" not in resumed.text
+    assert RunRecord.read(folder).state == "finished"
+    assert folder.results.read_bytes() == reference.results.read_bytes()
+    assert folder.report.exists()
+
+
+@pytest.mark.parametrize("lost", ["checkpoint", "evaluation"])
+def test_a_finished_run_makes_again_what_it_has_lost(
+    lost: str, finished: tuple[RunFolder, Launcher], launch: Launch, tmp_path: Path
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(finished[0].root, folder.root)
+    if lost == "checkpoint":
+        folder.checkpoint("agent_1", 2).write_bytes(b"")
+    else:
+        folder.evaluation(2).unlink()
+    resumed = launch("--resume", str(folder.root))
+    assert resumed.finish() == 0, resumed.text
+    assert "it is made again" in resumed.text
+    same(folder, finished[0])
+    with pytest.raises(UserError, match=r"is finished; see .*report\.html"):
+        main(["--resume", str(folder.root)])
 
 
 def status_of(run: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -207,7 +254,7 @@ def test_a_run_does_not_go_on_with_other_data_of_the_same_name(
     )
     folder = run_record.make_folder(tmp_path / "run", needed=0)
     record = run_record.create(folder, description, quick=False, place=Place())
-    record.with_inputs(inputs.data(description, AGENTS), description, folder)
+    Ledger(record, folder).note_inputs(inputs.data(description, AGENTS), description)
     shutil.rmtree(store.agent_file(name, "agent_0").parent)
     import_files([finished[0].deployment(2)], "swapped")
     says = rf"the data of agent_0 \({name}\) are others than when the run began"

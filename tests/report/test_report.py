@@ -249,3 +249,35 @@ def test_improvement(value: float, before: float, expected: float | None) -> Non
 def test_spread() -> None:
     assert Spread.of([1.0, 3.0]) == Spread(2.0, 1.0, 1.0, 3.0, 2)
     assert Spread.of([]) is None
+
+
+def test_a_line_that_was_written_behind_a_torn_one_is_read(made) -> None:
+    """As earlier versions did when a learner was killed in the middle of a line."""
+    with made.folder.metrics("agent_0").open("a") as file:
+        file.write('{"phase": "tuning", "deploym')
+    made.report("agent_0", "tuning", 3, 0, 100, alpha=0.25)
+    with made.folder.metrics("agent_0").open("a") as file:
+        file.write('{"phase": "tuni')  # and this one is being written
+    results, _ = report(made)
+    assert results["missing"] == []
+    assert results["agents"]["agent_0"]["tunings"][2]["alpha"] == 0.25
+
+
+def test_whoever_may_only_look_gets_the_report_elsewhere(made, tmp_path: Path) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    root = str(made.folder.root)
+    script = f"mount -o bind,ro {root} {root} && exec {sys.executable} -m otc_dist.report {root}"
+    for entry in (["unshare", "--mount"], ["unshare", "--user", "--map-root-user", "--mount"]):
+        if shutil.which("unshare") and not subprocess.call(
+            [*entry, "true"], stderr=subprocess.DEVNULL
+        ):
+            break
+    else:
+        pytest.skip("mount namespaces are not permitted")
+    out = subprocess.run(
+        [*entry, "sh", "-c", script], cwd=here, capture_output=True, text=True, check=False
+    )
+    assert (out.returncode, out.stdout) == (0, f"{here}/run-report.html\n")
+    assert out.stderr == f"{root} cannot be written: its report is made here\n"
+    assert {path.name for path in here.iterdir()} == {"run-report.html", "run-results.json"}

@@ -49,6 +49,24 @@ def test_a_killed_learner_that_is_restarted_ends_with_the_same_bytes(
     assert run.result() == undisturbed.result()
 
 
+@pytest.mark.parametrize("k", [1, 2])
+def test_a_checkpoint_that_the_disk_damages_is_made_again_before_its_learner_leaves(
+    run: Services, undisturbed: Services, tmp_path: Path, k: int
+) -> None:
+    """Also the last one: nobody reads it any more, and only the env host's log can mend it."""
+    gate = tmp_path / "gate"
+    os.mkfifo(gate)
+    run.start("host", hold=["done", 2, 0, str(gate)])
+    for agent in AGENTS:
+        run.start(agent, stub=True)
+    run.wait_for_file(run.folder.evaluation(2))
+    run.folder.checkpoint("agent_1", k).write_bytes(b"")
+    gate.open("w").close()
+    assert set(run.wait_all().values()) == {0}, run.output("host")
+    assert run.result() == undisturbed.result()
+    assert f"checkpoint_0{k}.safetensors is corrupt: it and what follows" in run.output("agent_1")
+
+
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_a_killed_env_host_that_is_restarted_ends_with_the_same_bytes(
     run: Services, undisturbed: Services, moment: list[object]

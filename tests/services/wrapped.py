@@ -94,11 +94,15 @@ def _stub() -> types.ModuleType:
             new.write_text(json.dumps([self.tuned, self._state.hex()]))
             new.replace(path)
 
-        def load(self, path) -> None:  # type: ignore[no-untyped-def]
+        def check(self, path) -> tuple[int, str]:  # type: ignore[no-untyped-def]
             try:
-                self.tuned, state = json.loads(path.read_text())
-            except ValueError:
+                tuned, state = json.loads(path.read_text())
+            except (OSError, ValueError):
                 raise UserError(f"{path} is corrupt") from None
+            return tuned, state
+
+        def load(self, path) -> None:  # type: ignore[no-untyped-def]
+            self.tuned, state = self.check(path)
             self._state = bytes.fromhex(state)
 
     module.Learner, module.Progress = Learner, Progress  # type: ignore[attr-defined]
