@@ -4,25 +4,24 @@ Steps and metadata carry their own, which are checked whenever they are read; th
 other tools read, such as the messages that Foxglove shows.
 """
 
-from pathlib import Path
-
 from mcap.records import Chunk
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader
 
+from otc_dist.deployment_log import chunks
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.format import DamagedLogError
-from otc_dist.deployment_log.open_log import PARSE_ERRORS
+from otc_dist.deployment_log.open_log import PARSE_ERRORS, OpenLog
 
 
-def check_container(path: Path) -> int:
+def check_container(log: OpenLog) -> int:
     """Read a finished log from end to end; the number of its chunks.
 
     Raises:
         DamagedLogError: a checksum does not hold, or a record cannot be read.
     """
-    chunks = 0
+    count = 0
     try:
-        with path.open("rb") as stream:
+        with log.path.open("rb") as stream:
             reader = StreamReader(
                 stream,
                 emit_chunks=True,
@@ -31,8 +30,8 @@ def check_container(path: Path) -> int:
             )
             for record in reader.records:
                 if isinstance(record, Chunk):
-                    get_chunk_data_stream(record, validate_crc=True)
-                    chunks += 1
+                    chunks.contents(record, log.layout.size)
+                    count += 1
     except PARSE_ERRORS as error:
-        raise DamagedLogError(path, f"after {chunks} chunks: {error}") from None
-    return chunks
+        raise DamagedLogError(log.path, f"after {count} chunks: {error}") from None
+    return count

@@ -29,6 +29,7 @@ RANGES = "otc_dist.ranges"  # only where steps are missing
 
 PARTIAL_SUFFIX = ".partial"
 MAXIMUM_RECORD = 64 * 2**20  # bytes of one record; a larger length is damage, not data
+MAXIMUM_SUMMARY = 64 * 2**20  # bytes of the index at a finished log's end: that of 40 GB of steps
 CHUNK_SIZE = 256 * 2**10  # bytes before compression: what a reader decompresses to get one step
 
 

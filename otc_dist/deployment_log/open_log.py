@@ -14,11 +14,12 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, ChunkIndex, Header, McapRecord, Metadata
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from otc_dist import records
+from otc_dist.deployment_log import chunks
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.format import DamagedLogError, partial_path, unseal
 from otc_dist.deployment_log.header import LogHeader
@@ -32,6 +33,7 @@ PARSE_ERRORS = (
     zstandard.ZstdError,
     ValueError,
     KeyError,
+    OSError,  # of a seek to where no file ends
     OverflowError,
     MemoryError,
 )
@@ -106,7 +108,7 @@ class OpenLog:
                 entries: dict[str, str] | None = None
                 if isinstance(record, Header) and record.profile != fmt.PROFILE:
                     raise UserError(
-                        f"{self.path} is an MCAP file of profile {record.profile!r}, not"
+                        f"{self.path} is an MCAP file of profile {record.profile[:40]!r}, not"
                         f" {fmt.PROFILE!r}: otc_dist did not write it"
                     )
                 if isinstance(record, Metadata) and record.name == fmt.HEADER and self.finished:
@@ -129,14 +131,17 @@ class OpenLog:
         self._file.seek(self.size - footer_size)
         footer = self._file.read(_FOOTER.size)
         opcode, _, start, _, checksum = _FOOTER.unpack(footer)
-        if opcode == Opcode.FOOTER and 0 < start <= self.size - footer_size:
+        length = self.size - footer_size - start
+        if opcode == Opcode.FOOTER and start > 0 and 0 <= length <= fmt.MAXIMUM_SUMMARY:
             self._file.seek(start)
-            covered = self._file.read(self.size - footer_size - start) + footer[:-4]
+            covered = self._file.read(length) + footer[:-4]
             if zlib.crc32(covered) == checksum:
                 self._file.seek(0)
-                summary = SeekingReader(
-                    self._file, record_size_limit=fmt.MAXIMUM_RECORD
-                ).get_summary()
+                reader = SeekingReader(self._file, record_size_limit=fmt.MAXIMUM_RECORD)
+                try:
+                    summary = reader.get_summary()
+                except PARSE_ERRORS:
+                    raise DamagedLogError(self.path, "its index cannot be read") from None
                 if summary is not None and summary.statistics is not None:
                     return summary
         raise DamagedLogError(self.path, "its index does not match its checksum")
@@ -247,9 +252,12 @@ class OpenLog:
         offset = index.message_index_offsets.get(CHANNEL_ID)
         if offset is None:
             return 0
-        self._file.seek(offset)
-        head = self._file.read(_MESSAGE_INDEX.size)
-        opcode, _, channel, length = _MESSAGE_INDEX.unpack(head)
+        try:
+            self._file.seek(offset)
+            head = self._file.read(_MESSAGE_INDEX.size)
+            opcode, _, channel, length = _MESSAGE_INDEX.unpack(head)
+        except PARSE_ERRORS:
+            opcode, channel, length = 0, 0, 0
         if opcode != Opcode.MESSAGE_INDEX or channel != CHANNEL_ID:
             raise DamagedLogError(self.path, "a message index is not where the index says")
         return int(length) // _INDEX_ENTRY
@@ -267,10 +275,11 @@ class OpenLog:
             chunk = next(reader.records)
             if not isinstance(chunk, Chunk):
                 raise ValueError("no chunk")
-            stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-            data = stream.read(length)
-        except (StopIteration, *PARSE_ERRORS):
-            raise DamagedLogError(self.path, "a chunk does not match its checksum") from None
+            data = chunks.contents(chunk, self.layout.size)
+        except StopIteration:
+            raise DamagedLogError(self.path, "it ends within a chunk") from None
+        except PARSE_ERRORS as error:
+            raise DamagedLogError(self.path, str(error)) from None
         prefix, size, found, at = self.layout.prefix, self.layout.size, [], 0
         while at < len(data):
             if data.startswith(prefix, at):

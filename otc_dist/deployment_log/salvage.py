@@ -12,9 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import zstandard
 from mcap.writer import MCAP0_MAGIC
 
+from otc_dist.deployment_log import chunks
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.format import unseal
 from otc_dist.deployment_log.header import LogHeader
@@ -22,10 +22,9 @@ from otc_dist.deployment_log.record import Rows
 from otc_dist.errors import UserError
 
 _FRAME_MAGIC = bytes.fromhex("28b52ffd")  # RFC 8878
-_LARGEST_WINDOW = 2**27  # bytes that a frame may ask for; ours ask for far less
 _BLOCK = 2**20  # bytes of steps given at once
-_PIECE = 2**16  # bytes decompressed at once
 _RECORD_HEAD = 9  # bytes of a record's opcode and length
+_LAST_TIME = 2**63  # ns since the epoch; a time behind it is damage
 _UINT32 = struct.Struct("<I")
 
 _Bytes = bytes | bytearray | mmap.mmap
@@ -97,7 +96,8 @@ class Salvage:
                 continue  # Zstandard may keep bytes as they are, which are then met twice
             # Times are not under a step's checksum; written twice, they show when one is damaged.
             times = [int(row[name][0]) for name in ("log_time", "publish_time")]
-            last_time = min((time for time in times if time > last_time), default=last_time + 1)
+            later = (time for time in times if last_time < time < _LAST_TIME)
+            last_time = min(later, default=last_time + 1)
             row["log_time"] = row["publish_time"] = last_time
             last = step
             held.append(row.tobytes())
@@ -115,7 +115,8 @@ class Salvage:
         while record_at >= 0 or frame_at >= 0:
             if frame_at >= 0 and not 0 <= record_at < frame_at:
                 self.searched = frame_at
-                yield from self._records(self._frame(frame_at), frames=False)
+                frame = self._frame(frame_at, chunks.LARGEST + self.layout.size)
+                yield from self._records(frame, frames=False)
                 frame_at = data.find(_FRAME_MAGIC, frame_at + 1)
                 continue
             record = bytes(data[record_at : record_at + size])
@@ -127,32 +128,18 @@ class Salvage:
     def _frames(self) -> Iterator[bytearray]:
         at = self._data.find(_FRAME_MAGIC)
         while at >= 0:
-            yield self._frame(at)
+            yield self._frame(at, chunks.LARGEST)  # which begins with the channel
             at = self._data.find(_FRAME_MAGIC, at + 1)
 
-    def _frame(self, at: int) -> bytearray:
-        """What a Zstandard frame holds; of a damaged one what comes before, and perhaps zeros."""
-        out = bytearray()
+    def _frame(self, at: int, most: int) -> bytearray:
+        """What the Zstandard frame at an offset holds; see `chunks.salvaged`."""
         view = memoryview(self._data)
         source = view[at : at + fmt.MAXIMUM_RECORD]
-        decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW)
         try:
-            with decompressor.stream_reader(source) as reader:
-                while len(out) < fmt.MAXIMUM_RECORD:
-                    piece = bytearray(_PIECE)
-                    try:
-                        count = reader.readinto(piece)
-                    except zstandard.ZstdError:
-                        # What was decompressed before the error has been written nevertheless.
-                        out += piece
-                        break
-                    if not count:
-                        break
-                    out += memoryview(piece)[:count]
+            return chunks.salvaged(source, most)
         finally:
             source.release()
             view.release()
-        return out
 
 
 def _string(text: str) -> bytes:

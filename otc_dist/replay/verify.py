@@ -81,7 +81,7 @@ def _integrity(log: OpenLog) -> Finding:
     steps = sum(len(rows) for rows in log.blocks())
     if not log.finished:
         return 0, f"checksums of {steps:,} steps; it is unfinished, so there are no others"
-    return 0, f"checksums of {steps:,} steps, of {check_container(log.path)} chunks, of the file"
+    return 0, f"checksums of {steps:,} steps, of {check_container(log)} chunks, of the file"
 
 
 def _binding(header: LogHeader, *, accept: bool) -> Finding:
