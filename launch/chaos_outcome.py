@@ -104,7 +104,7 @@ def _log(path: Path) -> bytes:
             digest.update(np.asarray(part).tobytes())
     summary = read_summary(path)
     policies, episodes = sorted(summary.policies.items()), [asdict(e) for e in summary.episodes]
-    beside = (count, summary.finished, policies, episodes)
+    beside = (count, summary.extent.whole, policies, episodes)
     return _digest(repr(beside)) + digest.digest()
 
 

@@ -24,6 +24,8 @@ from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.header import LogHeader, versions
+from otc_dist.deployment_log.open_log import OpenLog
+from otc_dist.deployment_log.reader import check_whole
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
@@ -133,9 +135,14 @@ class EnvHost:
         log.info("evaluation of policy %d, means: %s", k, told)
 
     def _deploy(self, k: int) -> None:
-        """Deployment k: M transitions by pi_{k-1}, every step in the log before the next."""
+        """Deployment k: M transitions by pi_{k-1}, every step in the log before the next.
+
+        Raises UserError where its log is there, but not whole: all learn from it.
+        """
         path = self._folder.deployment(k)
         if path.exists():
+            with OpenLog(path) as made:
+                check_whole(made)
             return
         if self._gate.needs_approval(k):
             self._enter("approval", k, 0)

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from otc_dist.datasets.card import file_sha256
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.recording import numbers
-from otc_dist.deployment_log.format import PARTIAL_SUFFIX, DamagedLogError, partial_path
+from otc_dist.deployment_log.extent import scheduled_steps
+from otc_dist.deployment_log.format import PARTIAL_SUFFIX, DamagedLogError, existing
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import RecordLayout, Rows
 from otc_dist.deployment_log.salvage import Salvage
+from otc_dist.deployment_log.seeds import foreign_steps
 from otc_dist.deployment_log.several import in_order
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
@@ -105,21 +107,24 @@ def read_logs(paths: Sequence[Path], report: Report = silent) -> Logged:
 
 
 def _read(path: Path) -> _File:
-    if not path.exists() and partial_path(path).exists():
-        path = partial_path(path)
+    path = existing(path)
     try:
         with OpenLog(path) as log:
             header, layout, rows = log.header, log.layout, _joined(log.layout, log.blocks())
             notes: tuple[str, ...] = ()
-            if not log.finished:
-                notes = (f"{path.name} is unfinished: {len(rows):,} steps",)
+            if log.extent.shortfall is not None:
+                notes = (f"{path.name} is {log.extent.shortfall}",)
     except DamagedLogError as error:
         with Salvage(path) as salvage:
             header, layout = salvage.header, salvage.layout
             rows = _joined(layout, salvage.blocks())
         reason = str(error).replace(str(path), path.name)
-        notes = (f"{reason}; {len(rows):,} steps in it are whole",)
+        of = scheduled_steps(header)
+        many = f"{len(rows):,} steps" if of is None else f"{len(rows):,} of {of:,} steps"
+        notes = (f"{reason}; {many} in it are whole",)
     _check_team(header.team, path)
+    if (foreign := foreign_steps(header, [rows])) is not None:
+        notes += (f"{path.name}: {foreign}",)
     episodes, begun = _numbered(rows["step"], rows["terminated"] | rows["truncated"])
     agents = [layout.transitions(rows, index) for index in range(len(header.team.agents))]
     broken = agents[0].terminated & agents[0].truncated

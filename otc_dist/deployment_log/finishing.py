@@ -13,6 +13,7 @@ import otc_dist
 from otc_dist import durable
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.episodes import find_episodes, to_json
+from otc_dist.deployment_log.extent import Source, scheduled_steps
 from otc_dist.deployment_log.format import DamagedLogError, seal
 from otc_dist.deployment_log.foxglove import FoxgloveChannels
 from otc_dist.deployment_log.header import LogHeader
@@ -26,6 +27,8 @@ def write_finished(
     header: LogHeader,
     blocks: Callable[[], Iterable[Rows]],
     policies: Mapping[str, str],
+    *,
+    recovered_from: Source | None = None,
 ) -> None:
     """Write a finished log under its name only when it is whole.
 
@@ -35,6 +38,7 @@ def write_finished(
 
     Args:
         blocks: gives all steps, in order, as often as it is called.
+        recovered_from: what the steps are the whole ones of, where they are not all for certain.
 
     Raises:
         OSError: the disk is full, ...: nothing is left behind.
@@ -57,6 +61,9 @@ def write_finished(
             writer.add_metadata(fmt.EPISODES, seal({"episodes": to_json(episodes)}, binding))
             if len(ranges) > 1 or (ranges and ranges[0][0] > 0):
                 writer.add_metadata(fmt.RANGES, seal({"ranges": json.dumps(ranges)}, binding))
+            if recovered_from is not None:
+                told = _told(ranges, header, recovered_from)
+                writer.add_metadata(fmt.RECOVERED, seal(told, binding))
             writer.finish()  # type: ignore[no-untyped-call]
             stream.flush()
             os.fsync(stream.fileno())
@@ -65,6 +72,16 @@ def write_finished(
         raise
     temporary.rename(path)
     durable.sync(path.parent)
+
+
+def _told(ranges: list[list[int]], header: LogHeader, source: Source) -> dict[str, str]:
+    """What a recovered log says of itself: from what it was recovered, and how much it holds."""
+    scheduled = scheduled_steps(header)
+    return {
+        "from": source,
+        "steps": str(sum(high - low for low, high in ranges)),
+        "of": "not known" if scheduled is None else str(scheduled),
+    }
 
 
 def _write(writer: Writer, blocks: Iterable[Rows], ranges: list[list[int]]) -> Iterator[Rows]:

@@ -9,9 +9,13 @@ In version 1 they begin with nothing, as MCAP's do. Who can write a log can writ
 they tell damage and mix-ups, not forgeries.
 """
 
+import struct
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
 
 from otc_dist.errors import UserError
 
@@ -26,11 +30,15 @@ HEADER = "otc_dist.header"
 POLICIES = "otc_dist.policies"
 EPISODES = "otc_dist.episodes"
 RANGES = "otc_dist.ranges"  # only where steps are missing
+RECOVERED = "otc_dist.recovered"  # only in a log made of what was whole of another file
 
 PARTIAL_SUFFIX = ".partial"
+HEAD = 2**12  # bytes at a file's begin that `no_log` looks at
 MAXIMUM_RECORD = 64 * 2**20  # bytes of one record; a larger length is damage, not data
 MAXIMUM_SUMMARY = 64 * 2**20  # bytes of the index at a finished log's end: that of 40 GB of steps
 CHUNK_SIZE = 256 * 2**10  # bytes before compression: what a reader decompresses to get one step
+
+_RECORD = struct.Struct("<BQ")  # opcode, length
 
 
 class DamagedLogError(UserError):
@@ -43,6 +51,38 @@ class DamagedLogError(UserError):
 def partial_path(path: Path) -> Path:
     """Where the log that will end up at `path` lies while it is being written."""
     return path.with_name(path.name + PARTIAL_SUFFIX)
+
+
+def existing(path: Path) -> Path:
+    """`path`, or where its log lies while it is unfinished, if that is what there is."""
+    partial = partial_path(path)
+    return partial if not path.exists() and partial.exists() else path
+
+
+def no_log(head: bytes, size: int) -> str | None:
+    """Why a file cannot be a log with all of its header, if its first bytes already show it.
+
+    Args:
+        head: the first `HEAD` bytes of the file, or all.
+        size: of the file.
+    """
+    if not size:
+        return "is empty, and not an MCAP file"
+    short = f"is too short to hold the header of a deployment log: {size:,} bytes"
+    magic = head[: len(MCAP0_MAGIC)]
+    if magic != MCAP0_MAGIC:
+        return short if MCAP0_MAGIC.startswith(magic) else "is not an MCAP file"
+    at = len(MCAP0_MAGIC)
+    for opcode in (Opcode.HEADER, Opcode.METADATA):  # the file's own, and ours behind it
+        if size < at + _RECORD.size:
+            return short
+        if len(head) < at + _RECORD.size:
+            return None
+        found, length = _RECORD.unpack_from(head, at)
+        if found != opcode or length > MAXIMUM_RECORD:
+            return None
+        at += _RECORD.size + length
+    return short if size < at else None
 
 
 def seal(entries: Mapping[str, str], binding: int = 0) -> dict[str, str]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from otc_dist.deployment_log.open_log import OpenLog
+from otc_dist.deployment_log.reader import check_whole
 from otc_dist.measured import Measured, horizon, measure, team_rewards
 from otc_dist.transitions import Bool, Float32
 
@@ -15,11 +16,12 @@ def read_measured(path: Path) -> tuple[int, Measured]:
     The agents come to the same numbers, to the bit, by their own rewards, where these are alike.
 
     Raises:
-        UserError: missing, or no log.
+        UserError: missing, no log, or not the whole of its deployment.
         TooFewError: it holds too few episodes to measure anything.
         DamagedLogError: it is damaged.
     """
     with OpenLog(path) as log:
+        check_whole(log)
         agents, copies = range(len(log.header.team.agents)), log.header.copies
         parts: list[tuple[Float32, Bool, Bool]] = []
         for rows in log.blocks():

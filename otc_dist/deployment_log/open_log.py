@@ -21,7 +21,8 @@ from mcap.writer import MCAP0_MAGIC
 from otc_dist import records
 from otc_dist.deployment_log import chunks
 from otc_dist.deployment_log import format as fmt
-from otc_dist.deployment_log.format import DamagedLogError, partial_path, unseal
+from otc_dist.deployment_log.extent import Extent, scheduled_steps
+from otc_dist.deployment_log.format import DamagedLogError, existing, unseal
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.record import CHANNEL_ID, Rows
 from otc_dist.errors import UserError
@@ -50,16 +51,16 @@ def _size(record: McapRecord) -> int:
 
 
 class OpenLog:
-    """An open log: `header`, `layout`, `finished`, and its steps as blocks of rows.
+    """An open log: `header`, `layout`, `extent`, and its steps as blocks of rows.
+
+    `finished` says whether the file has the form of a finished log; a recovered one has it, too.
 
     Raises:
         UserError, DamagedLogError: as `read_header`.
     """
 
     def __init__(self, path: Path) -> None:
-        if not path.exists() and partial_path(path).exists():
-            path = partial_path(path)
-        self.path = path
+        self.path = path = existing(path)
         try:
             self._file: BinaryIO = path.open("rb")
         except IsADirectoryError:
@@ -79,14 +80,13 @@ class OpenLog:
         self._file.seek(max(self.size - len(MCAP0_MAGIC), 0))
         self.finished = self.size > 2 * len(MCAP0_MAGIC) and self._file.read() == MCAP0_MAGIC
         self._file.seek(0)
-        if self._file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise UserError(f"{self.path} is not an MCAP file")
+        if (reason := fmt.no_log(self._file.read(fmt.HEAD), self.size)) is not None:
+            raise UserError(f"{self.path} {reason}")
         self._file.seek(0)
         self.header = self._find_header()
         self.layout = self.header.layout()
         self._summary: Summary | None = self._read_summary() if self.finished else None
-        # Which steps there are: start..stop-1 of each pair, more than one where some are missing.
-        self.ranges = self._find_ranges()
+        self.extent = self._find_extent()
 
     def __enter__(self) -> "OpenLog":
         return self
@@ -168,10 +168,16 @@ class OpenLog:
             return {}
         return record.metadata if isinstance(record, Metadata) else {}
 
-    def _find_ranges(self) -> list[tuple[int, int]]:
+    def _find_extent(self) -> Extent:
         names = [index.name for index in self._summary.metadata_indexes] if self._summary else []
-        if fmt.RANGES not in names:
-            return [(0, self.steps())]
+        ranges = self._table_of_ranges() if fmt.RANGES in names else [(0, self.steps())]
+        scheduled, finished = scheduled_steps(self.header), self.finished
+        recovered = fmt.RECOVERED in names
+        if recovered:
+            finished = self.metadata(fmt.RECOVERED).get("from") == "finished"
+        return Extent(ranges, scheduled, finished, recovered)
+
+    def _table_of_ranges(self) -> list[tuple[int, int]]:
         table = self.metadata(fmt.RANGES).get("ranges", "")
         found = records.from_json(list[tuple[int, int]], table, f"{self.path}: its table of gaps")
         bounds = [bound for pair in found for bound in pair]
@@ -202,7 +208,7 @@ class OpenLog:
             DamagedLogError: after the last step before the damage.
         """
         before = 0  # steps of the ranges before
-        for low, high in self.ranges:
+        for low, high in self.extent.ranges:
             first = max(start, low)
             end = high if stop is None else min(stop, high)
             if first < end:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.episodes import Episode, find_episodes, from_json
+from otc_dist.deployment_log.extent import Extent
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.errors import UserError
@@ -15,14 +16,13 @@ from otc_dist.transitions import JointStep, Transitions
 @dataclass(frozen=True)
 class LogSummary:
     """A log at a glance. `policies`: agent -> digest of the policy that acted; empty until the
-    log is finished. `ranges`: which steps there are, start..stop-1 of each pair. `times`: of the
-    first and last step, ns since the epoch; None without steps.
+    log is finished. `extent`: how much of the deployment there is. `times`: of the first and last
+    step, ns since the epoch; None without steps.
     """
 
     path: Path
     header: LogHeader
-    finished: bool
-    ranges: list[tuple[int, int]]
+    extent: Extent
     times: tuple[int, int] | None
     policies: dict[str, str] = field(default_factory=dict)
     episodes: list[Episode] = field(default_factory=list)
@@ -30,12 +30,12 @@ class LogSummary:
     @property
     def steps(self) -> int:
         """How many there are."""
-        return sum(high - low for low, high in self.ranges)
+        return self.extent.steps
 
     @property
     def end(self) -> int:
         """The number behind that of the last step."""
-        return self.ranges[-1][1]
+        return self.extent.end
 
 
 def read_header(path: Path) -> LogHeader:
@@ -92,6 +92,12 @@ def read_summary(path: Path) -> LogSummary:
         return summarise(log)
 
 
+def check_whole(log: OpenLog) -> None:
+    """Refuse what does not hold its whole deployment where all of it counts. Raises UserError."""
+    if log.extent.shortfall is not None:
+        raise UserError(f"{log.path} is {log.extent.shortfall}; the whole deployment is needed")
+
+
 def summarise(log: OpenLog) -> LogSummary:
     """As `read_summary`, of a log that is open already."""
     if log.finished:
@@ -100,6 +106,4 @@ def summarise(log: OpenLog) -> LogSummary:
         episodes = from_json(table, log.header, log.path)
     else:
         policies, episodes = {}, find_episodes(log.blocks(), len(log.header.team.agents))
-    return LogSummary(
-        log.path, log.header, log.finished, log.ranges, log.times(), policies, episodes
-    )
+    return LogSummary(log.path, log.header, log.extent, log.times(), policies, episodes)

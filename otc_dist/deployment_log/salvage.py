@@ -10,12 +10,13 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
 from mcap.writer import MCAP0_MAGIC
 
 from otc_dist.deployment_log import chunks
 from otc_dist.deployment_log import format as fmt
+from otc_dist.deployment_log.extent import Source
 from otc_dist.deployment_log.format import unseal
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.record import Rows
@@ -30,6 +31,14 @@ _UINT32 = struct.Struct("<I")
 _Bytes = bytes | bytearray | mmap.mmap
 
 
+class _Run(NamedTuple):
+    """Where steps lie behind each other: `records` of them at a place, or in a frame there (0)."""
+
+    first: int  # step
+    at: int
+    records: int
+
+
 class Salvage:
     """An open log, of which no byte is trusted: its header, and its steps that are whole.
 
@@ -39,17 +48,20 @@ class Salvage:
     """
 
     def __init__(self, path: Path) -> None:
+        path = fmt.existing(path)
         try:
             with path.open("rb") as stream:
                 self._data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
         except ValueError:
-            raise UserError(f"{path} is empty") from None
+            raise UserError(f"{path} {fmt.no_log(b'', 0)}") from None
         except OSError as error:
             raise UserError(f"{path} cannot be read: {error.strerror}") from None
         self.path, self.size = path, len(self._data)
         self.searched = 0  # bytes, while `blocks` is under way
+        self._runs: list[_Run] | None = None  # once they are known
         self.header = self._find_header()
         self.layout = self.header.layout()
+        self.source = self._find_source()
 
     def __enter__(self) -> Self:
         return self
@@ -67,19 +79,28 @@ class Salvage:
         for marker in (metadata, channel):
             for entries in _maps_behind(marker, self._data):
                 return LogHeader.from_entries(entries, self.path)
-        for frame in self._frames():  # the channel also stands in the first chunk
-            for entries in _maps_behind(channel, frame):
+        for at in self._frame_places():  # the channel also stands in the first chunk
+            for entries in _maps_behind(channel, self._frame(at, chunks.LARGEST)):
                 return LogHeader.from_entries(entries, self.path)
         raise UserError(f"{self.path} {self._what_else()}")
+
+    def _find_source(self) -> Source:
+        """Whether it has its end, or what it was recovered from had."""
+        if self._data[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC:
+            return "unfinished"
+        told = next(_maps_behind(_string(fmt.RECOVERED), self._data, self.header.binding), {})
+        return "unfinished" if told.get("from") == "unfinished" else "finished"
 
     def _what_else(self) -> str:
         """Why a file without a header of ours may have none."""
         start = len(MCAP0_MAGIC) + _RECORD_HEAD
-        if self._data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC:
+        if self._data[: len(MCAP0_MAGIC)] != MCAP0_MAGIC[: self.size]:
             return "is not an MCAP file, and holds no whole header of a deployment log"
-        if self._data[start : start + 4 + len(fmt.PROFILE)] != _string(fmt.PROFILE):
+        profile = _string(fmt.PROFILE)
+        if self._data[start : start + len(profile)] != profile[: max(self.size - start, 0)]:
             return f"is an MCAP file, but not of profile {fmt.PROFILE!r}: otc_dist did not write it"
-        return "holds no whole header of a deployment log"
+        reason = fmt.no_log(self._data[: fmt.HEAD], self.size)
+        return reason or "holds no whole header of a deployment log"
 
     def policies(self) -> dict[str, str]:
         """Agent -> digest of the policy that acted; empty if that is not readable."""
@@ -89,7 +110,7 @@ class Salvage:
         """All steps that are whole, in order; where some are missing, a block's steps skip them."""
         held: list[bytes] = []
         last, last_time = -1, 0
-        for record in self._records(self._data, frames=True):
+        for record in self._in_order():
             row = self.layout.rows(bytearray(record))
             step = int(row["step"][0])
             if step <= last:
@@ -107,29 +128,56 @@ class Salvage:
         if held:
             yield self.layout.rows(b"".join(held))
 
-    def _records(self, data: _Bytes, *, frames: bool) -> Iterator[bytes]:
-        """Whole records in `data`, as they lie, and in its Zstandard frames if `frames`."""
-        prefix, size = self.layout.prefix, self.layout.size
-        record_at = data.find(prefix)
-        frame_at = data.find(_FRAME_MAGIC) if frames else -1
-        while record_at >= 0 or frame_at >= 0:
-            if frame_at >= 0 and not 0 <= record_at < frame_at:
-                self.searched = frame_at
-                frame = self._frame(frame_at, chunks.LARGEST + self.layout.size)
-                yield from self._records(frame, frames=False)
-                frame_at = data.find(_FRAME_MAGIC, frame_at + 1)
-                continue
-            record = bytes(data[record_at : record_at + size])
-            whole = self.layout.step_of(record) is not None
-            if whole:
-                yield record
-            record_at = data.find(prefix, record_at + (size if whole else 1))
+    def _in_order(self) -> Iterator[bytes]:
+        """Whole records, by the first step of the run that they lie in: blocks may be displaced."""
+        if self._runs is None:
+            self._runs = sorted(self._find_runs())
+        size = self.layout.size
+        for run in self._runs:
+            self.searched = run.at
+            if run.records:
+                for at in range(run.at, run.at + run.records * size, size):
+                    yield self._data[at : at + size]
+            else:
+                frame = self._steps_frame(run.at)
+                for at, _ in self._records(frame):
+                    yield bytes(frame[at : at + size])
 
-    def _frames(self) -> Iterator[bytearray]:
+    def _find_runs(self) -> Iterator[_Run]:
+        """Stretches of whole records in the file as it lies, and frames that hold any."""
+        begin, count, end = (0, 0), 0, (0, 0)  # step and place of the first, and behind the last
+        for at, step in self._records(self._data):
+            if (step, at) != end:
+                if count:
+                    yield _Run(*begin, count)
+                begin, count = (step, at), 0
+            count, end = count + 1, (step + 1, at + self.layout.size)
+        if count:
+            yield _Run(*begin, count)
+        for place in self._frame_places():
+            self.searched = place
+            for _, step in self._records(self._steps_frame(place)):
+                yield _Run(step, place, 0)
+                break
+
+    def _records(self, data: _Bytes) -> Iterator[tuple[int, int]]:
+        """Where whole records are in `data`, as they lie, and which steps they are."""
+        prefix, size = self.layout.prefix, self.layout.size
+        at = data.find(prefix)
+        while at >= 0:
+            step = self.layout.step_of(bytes(data[at : at + size]))
+            if step is not None:
+                yield at, step
+            at = data.find(prefix, at + (1 if step is None else size))
+
+    def _frame_places(self) -> Iterator[int]:
         at = self._data.find(_FRAME_MAGIC)
         while at >= 0:
-            yield self._frame(at, chunks.LARGEST)  # which begins with the channel
+            yield at
             at = self._data.find(_FRAME_MAGIC, at + 1)
+
+    def _steps_frame(self, at: int) -> bytearray:
+        return self._frame(at, chunks.LARGEST + self.layout.size)
 
     def _frame(self, at: int, most: int) -> bytearray:
         """What the Zstandard frame at an offset holds; see `chunks.salvaged`."""

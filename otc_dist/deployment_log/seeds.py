@@ -1,5 +1,7 @@
 """Whether the episodes of a log have the seeds that its run's seed gives."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from otc_dist.deployment_log.header import LogHeader
@@ -10,6 +12,18 @@ from otc_dist.transitions import Bool
 # Behind a gap nobody knows how many episodes began in it: so many are tried for one that fits.
 _MOST_EPISODES = 2**20
 _NONE = -1  # a seed that no episode has
+
+
+def foreign_steps(header: LogHeader, blocks: Iterable[Rows]) -> str | None:
+    """How many steps of a log in the older form are of another deployment by their seeds.
+
+    In words; None: there is none, or checksums vouch for them all.
+    """
+    if header.bound:
+        return None
+    check = SeedCheck(header)
+    count = sum(int(check.wrong(rows).any(axis=1).sum()) for rows in blocks)
+    return f"{count:,} of its steps have seeds of another deployment" if count else None
 
 
 class SeedCheck:

@@ -21,7 +21,7 @@ from otc_dist.deployment_log.reader import summarise
 from otc_dist.deployment_log.several import in_order
 from otc_dist.errors import UserError
 from otc_dist.progress import Report, shown
-from otc_dist.replay.output import claimed
+from otc_dist.replay.output import claimed, note_shortfall
 from otc_dist.replay.selection import Selection, select
 from otc_dist.report.run_data import Tuning, read_run
 from otc_dist.run_folder import RunFolder
@@ -35,7 +35,10 @@ def run(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         logs = {path: stack.enter_context(OpenLog(path)) for path in arguments.files}
         ordered = [logs[path] for path in in_order({p: log.header for p, log in logs.items()})]
-        selections = [select(arguments, summarise(log)) for log in ordered]
+        summaries = [summarise(log) for log in ordered]
+        for summary in summaries:
+            note_shortfall(summary)
+        selections = [select(arguments, summary) for summary in summaries]
         with (
             claimed(out, force=arguments.force) as path,
             path.open("wb") as stream,

@@ -37,6 +37,8 @@ def render(tape: Tape) -> str:
         f"{header.team.env_id} · {steps} of copy {tape.copy} · seed {header.seed}"
         f" · otc_dist {header.versions.get('otc_dist', '?')}"
     )
+    if tape.extent.shortfall is not None:
+        lead += f" · {tape.extent.shortfall}"
     return Template(_part("page.html")).substitute(
         title=escape(f"{header.run}, deployment {header.deployment}"),
         lead=escape(lead),

@@ -1,12 +1,23 @@
-"""Writing what was asked for: it is there whole, under its name, or nothing is."""
+"""Writing what was asked for: it is there whole, under its name, or nothing is.
+
+What is made of a part of a deployment is not taken for the whole: that is said besides.
+"""
 
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from otc_dist.deployment_log.reader import LogSummary
 from otc_dist.errors import UserError
+
+
+def note_shortfall(summary: LogSummary) -> None:
+    """Say so, beside the result, where a log does not hold its whole deployment."""
+    if summary.extent.shortfall is not None:
+        print(f"note: {summary.path} is {summary.extent.shortfall}", file=sys.stderr, flush=True)
 
 
 @contextmanager

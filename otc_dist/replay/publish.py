@@ -30,10 +30,10 @@ from otc_dist.deployment_log.reader import (
 from otc_dist.deployment_log.several import in_order
 from otc_dist.description import Description
 from otc_dist.errors import UserError
-from otc_dist.exploration import Schedule
 from otc_dist.host_state import HostState
 from otc_dist.progress import shown
 from otc_dist.replay.log_host import Asker, LogHost, OtherActionError, Teller
+from otc_dist.replay.output import note_shortfall
 from otc_dist.replay.selection import Selection, select
 from otc_dist.run_folder import RunFolder
 from otc_dist.transitions import JointStep, Transitions
@@ -62,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     last = headers[paths[-1]].description
     description = Description.parse(last, source=f"the description in {paths[-1]}")
     summaries = [read_summary(path) for path in paths]
+    for summary in summaries:
+        note_shortfall(summary)
     parts = [(summary, select(arguments, summary)) for summary in summaries]
     root = arguments.run or paths[0].resolve().parent.parent
     logs = _Logs({headers[path].deployment: path for path in paths}, first)
@@ -172,13 +174,17 @@ def _prepare_learners(
     if arguments.steps is not None or arguments.episode is not None:
         raise UserError("learners tune on whole deployments: leave out --steps and --episode")
     team = parts[0][0].header.team
-    expected = [(0, Schedule.of(description, len(team.agents)).steps)]
     by_path = {summary.path: summary for summary, _ in parts}
     for deployment in range(1, parts[-1][0].header.deployment + 1):
         path = logs.path(deployment)
         summary = by_path.get(path) or read_summary(path)
-        if not summary.finished or summary.ranges != expected:
-            raise UserError(f"{path} does not hold its whole deployment: learners would differ")
+        if not summary.extent.whole:
+            raise UserError(
+                f"{path} does not hold its whole deployment ({summary.extent.shortfall}): learners"
+                " would differ"
+            )
+        if missing := set(team.names) - set(summary.policies):
+            raise UserError(f"{path} does not tell which policy acted for {min(missing)}")
     folder, header = RunFolder(arguments.run), parts[0][0].header
     try:
         folder.root.mkdir(parents=True, exist_ok=True)

@@ -7,31 +7,32 @@ from pathlib import Path
 
 from otc_dist.deployment_log.finishing import write_finished
 from otc_dist.deployment_log.format import PARTIAL_SUFFIX
-from otc_dist.deployment_log.reader import read_summary
+from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import Rows
 from otc_dist.deployment_log.salvage import Salvage
+from otc_dist.deployment_log.seeds import foreign_steps
 from otc_dist.errors import UserError
 from otc_dist.progress import Report, shown
 from otc_dist.replay.output import claimed
-from otc_dist.replay.summary import gaps
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write each file's whole steps to a finished log; 1 if a step before the last is missing.
+    """Write each file's whole steps to another log; 1 unless they are just its deployment's.
 
     Raises:
         UserError: two files and one `--out`, an output that exists, no whole step, a full disk.
     """
     if arguments.out is not None and len(arguments.files) > 1:
         raise UserError("--out names one file, but there are several to recover; do without it")
-    complete = True
+    complete = True  # of all
     for path in arguments.files:
         out = arguments.out or recovered_path(path)
         recover(path, out, force=arguments.force)
-        summary = read_summary(out)
-        missing = gaps(summary)
-        print(f"{out}: {summary.steps:,} steps up to step {summary.end - 1:,}; missing: {missing}")
-        complete = complete and missing == "none"
+        with OpenLog(out) as log:
+            extent, foreign = log.extent, foreign_steps(log.header, log.blocks())
+        told = f"{out}: {extent.shortfall or f'all of {extent.count}'}; missing: {extent.missing}"
+        print(f"{told}; {foreign}" if foreign else told)
+        complete = complete and extent.complete and not foreign
     return 0 if complete else 1
 
 
@@ -53,7 +54,9 @@ def recover(path: Path, out: Path, *, force: bool) -> None:
         shown(f"searching {path.name}", "bytes") as report,
     ):
         steps = partial(_reported, found, report)
-        write_finished(unfinished, found.header, steps, found.policies())
+        write_finished(
+            unfinished, found.header, steps, found.policies(), recovered_from=found.source
+        )
 
 
 def _reported(found: Salvage, report: Report) -> Iterator[Rows]:

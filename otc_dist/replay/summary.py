@@ -39,14 +39,23 @@ def _lines(arguments: argparse.Namespace, path: Path) -> list[str]:
 
 def _about(summary: LogSummary) -> list[tuple[str, str]]:
     header = summary.header
-    state = "finished" if summary.finished else "unfinished: killed, or still being written"
     return [
         ("run", f"{header.run}, deployment {header.deployment}, seed {header.seed}"),
-        ("state", state),
+        ("state", _state(summary)),
         ("environment", f"{header.team.env_id}, {_count(header.copies, 'copy', 'copies')}"),
         ("description", header.description_digest),
         ("versions", ", ".join(f"{name} {version}" for name, version in header.versions.items())),
     ]
+
+
+def _state(summary: LogSummary) -> str:
+    extent = summary.extent
+    state = extent.shortfall or ("recovered" if extent.recovered else "finished")
+    if not (extent.finished or extent.recovered):
+        state += "; killed, or still being written"
+    if not summary.header.bound:
+        state += f"; unbound (log version {summary.header.format_version})"
+    return state
 
 
 def _policies(summary: LogSummary, selection: Selection) -> list[tuple[str, str]]:
@@ -74,7 +83,7 @@ def _whole(summary: LogSummary, selection: Selection) -> list[tuple[str, str]]:
             f" {len(summary.episodes) - len(ended):,} cut short",
         ),
         ("returns", _spread(_team_returns(counted, selection.indices(summary.header.team.names)))),
-        ("gaps", gaps(summary)),
+        ("gaps", summary.extent.missing),
     ]
 
 
@@ -115,16 +124,6 @@ def _spread(values: Float64) -> str:
         return "no episode ended"
     low, high = f"{values.min():,.2f}", f"{values.max():,.2f}"
     return f"mean {values.mean():,.2f}, std {values.std():,.2f}, from {low} to {high}"
-
-
-def gaps(summary: LogSummary) -> str:
-    """Which steps are missing before the last, in words."""
-    missing, before = [], 0
-    for low, high in summary.ranges:
-        if low > before:
-            missing.append(f"{before:,} to {low - 1:,}")
-        before = high
-    return f"steps {', '.join(missing)}" if missing else "none"
 
 
 def _when(summary: LogSummary) -> str:

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otc_dist.deployment_log.extent import Extent
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import LogSummary, summarise
 from otc_dist.errors import UserError
+from otc_dist.replay.output import note_shortfall
 from otc_dist.replay.selection import Selection, select
 from otc_dist.scenes.families import find
 from otc_dist.scenes.scene import Frames, Scene
@@ -24,6 +26,7 @@ class Tape:
     """T steps of one copy and the N agents that are shown, in order; some may be missing between.
 
     Attributes:
+        extent: of the log that they are from.
         places: which of the team's agents they are.
         numbers: (T,), of the steps.
         episodes: (T,), which of the log's episodes a step belongs to, as `--episode` counts them.
@@ -36,6 +39,7 @@ class Tape:
     """
 
     header: LogHeader
+    extent: Extent
     copy: int
     places: tuple[int, ...]
     scene: Scene | None
@@ -74,6 +78,7 @@ def selected_tape(arguments: argparse.Namespace) -> Tape:
         selection = select(arguments, summary)
         if selection.start == selection.stop:
             raise UserError(f"{log.path} has no steps to show")
+        note_shortfall(summary)
         return read_tape(log, summary, selection)
 
 
@@ -100,6 +105,7 @@ def read_tape(log: OpenLog, summary: LogSummary, selection: Selection) -> Tape:
     wanted = numbers >= selection.start
     return Tape(
         header=log.header,
+        extent=log.extent,
         copy=copy,
         places=places,
         scene=find(team),

@@ -8,6 +8,7 @@ import numpy as np
 
 from otc_dist.deployment_log.container import check_container
 from otc_dist.deployment_log.episodes import find_episodes
+from otc_dist.deployment_log.extent import Extent
 from otc_dist.deployment_log.format import DamagedLogError
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
@@ -15,13 +16,11 @@ from otc_dist.deployment_log.reader import LogSummary, summarise
 from otc_dist.deployment_log.seeds import SeedCheck
 from otc_dist.description import Description
 from otc_dist.errors import UserError
-from otc_dist.exploration import Schedule
 from otc_dist.processor import kind
 from otc_dist.progress import shown
 from otc_dist.replay import resimulation
 from otc_dist.replay.policies import check_policies
 from otc_dist.replay.selection import Selection, select
-from otc_dist.replay.summary import gaps
 from otc_dist.transitions import JointStep
 
 # Exit statuses, the worst first; 0: everything that could be checked holds to the bit.
@@ -52,6 +51,7 @@ def _findings(arguments: argparse.Namespace, path: Path) -> Iterator[Finding]:
             yield _integrity(log)
             yield _binding(log.header, accept=arguments.accept_unbound)
             yield _sequence(summary)
+            yield _length(summary.extent)
             yield _episodes(log, summary)
             yield _seeds(log, selection)
             yield from _processor(log.header)
@@ -102,9 +102,8 @@ def _processor(header: LogHeader) -> Iterator[Finding]:
 
 
 def _sequence(summary: LogSummary) -> Finding:
-    missing = gaps(summary)
-    if missing != "none":
-        return FAILED, f"{missing} are missing"
+    if summary.extent.gaps:
+        return FAILED, f"{summary.extent.missing} are missing"
     return 0, f"steps 0 to {summary.end - 1:,} without a gap"
 
 
@@ -113,21 +112,22 @@ def _description(summary: LogSummary, selection: Selection, steps: Steps) -> Ite
     try:
         description = Description.parse(summary.header.description)
     except UserError as error:
-        yield None, f"its length and policies, since its description is not understood: {error}"
+        yield None, f"its policies, since its description is not understood: {error}"
         return
-    yield _length(summary, description)
     indices = selection.indices(summary.header.team.names)
     for verdict in check_policies(summary, description, indices, steps):
         status = None if verdict.holds is None else 0 if verdict.holds else FAILED
         yield status, f"{verdict.agent}: {verdict.text}"
 
 
-def _length(summary: LogSummary, description: Description) -> Finding:
-    expected = Schedule.of(description, len(summary.header.team.agents)).steps
-    if summary.end == expected:
-        return 0, f"as many as its description asks for: {expected:,}"
-    status = FAILED if summary.finished else None
-    return status, f"{summary.end:,} steps, of {expected:,} that its description asks for"
+def _length(extent: Extent) -> Finding:
+    if extent.scheduled is None:
+        return None, "its length, which its description does not tell"
+    if extent.whole:
+        return 0, f"as many as its description asks for: {extent.scheduled:,}"
+    failed = (extent.finished or extent.recovered) and not extent.complete
+    status = FAILED if failed else None  # of an unfinished one the rest may come
+    return status, f"{extent.shortfall} that its description asks for"
 
 
 def _episodes(log: OpenLog, summary: LogSummary) -> Finding:

@@ -171,7 +171,9 @@ def _read_measured(
             horizon, found[k] = read_measured(path)
         except TooFewError:
             continue
-        except (OSError, UserError) as error:
+        except UserError as error:
+            problems.append(f"{path.name} cannot be read: {error}".replace(str(path), path.name))
+        except OSError as error:
             problems.append(f"{path.name} cannot be read: {type(error).__name__}")
     return found, horizon
 

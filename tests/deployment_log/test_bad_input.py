@@ -35,6 +35,13 @@ def test_no_mcap_file(tmp_path: Path, content: bytes) -> None:
     assert "not an MCAP file" in said(path)
 
 
+@pytest.mark.parametrize("size", [1, 8, 10, 40, 60, 500])
+def test_a_log_that_ends_within_its_header(tmp_path: Path, small, size: int) -> None:
+    path = small.finish(tmp_path / "log.mcap")
+    path.write_bytes(path.read_bytes()[:size])
+    assert f"too short to hold the header of a deployment log: {size} bytes" in said(path)
+
+
 def test_another_profile(tmp_path: Path) -> None:
     out = io.BytesIO()
     writer = Writer(out)

@@ -96,8 +96,8 @@ def test_the_summary_tells_policies_and_episodes(tmp_path: Path, recording) -> N
     writer.finish({"agent_0": "aa", "agent_1": "bb"})
     summary = read_summary(path)
 
-    assert (unfinished.finished, unfinished.policies) == (False, {})
-    assert (summary.finished, summary.policies) == (True, {"agent_0": "aa", "agent_1": "bb"})
+    assert (unfinished.extent.finished, unfinished.policies) == (False, {})
+    assert (summary.extent.finished, summary.policies) == (True, {"agent_0": "aa", "agent_1": "bb"})
     assert (summary.steps, unfinished.steps) == (40, 40)
     assert summary.episodes == unfinished.episodes == _episodes_by_hand(made)
     assert any(not e.terminated and not e.truncated for e in summary.episodes)  # cut by the end

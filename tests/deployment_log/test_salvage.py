@@ -170,7 +170,7 @@ def test_a_log_with_gaps_tells_them_and_is_read_by_step(tmp_path: Path, large, s
     made, unfinished, _ = large
     path = with_gaps(tmp_path, made, unfinished, 0, 200, 201, 599)
     summary = read_summary(path)
-    assert summary.ranges == [(1, 200), (202, 599)]
+    assert summary.extent.ranges == [(1, 200), (202, 599)]
     assert (summary.steps, summary.end) == (596, 599)
     assert read_header(path) == made.header
     for start, stop in ((0, None), (150, 250), (200, 202), (201, 203), (598, 700), (300, 310)):
@@ -204,6 +204,29 @@ def test_salvaging_an_undamaged_log_changes_nothing(tmp_path: Path, large) -> No
     assert replace(read_summary(again), path=path) == read_summary(path)
 
 
+def test_steps_that_are_there_twice_or_elsewhere_are_given_once_and_in_order(
+    tmp_path: Path, small, same
+) -> None:
+    """Blocks of a file may be where other blocks of it belong, after a disk was mended."""
+    data = _unfinished(tmp_path, small, 12)
+    start = len(_unfinished(tmp_path, small, 0))
+    size = (len(data) - start) // 12
+    steps = [data[start + t * size :][:size] for t in range(12)]
+    path = tmp_path / "displaced"
+    order = [0, 1, 8, 9, 10, 5, 5, 6, 2, 8, 11]  # 3, 4 and 7 were overwritten
+    path.write_bytes(data[:start] + b"".join(steps[t] for t in order))
+    with Salvage(path) as found:
+        for _ in range(2):  # a finished log is made of them in two passes
+            blocks = list(found.blocks())
+            given = [step for rows in blocks for step in found.layout.steps(rows)]
+            assert [step.step for step in given] == [0, 1, 2, 5, 6, 8, 9, 10, 11]
+            assert all(same(step, small.steps[step.step]) for step in given)
+    finished = small.finish(tmp_path / "finished.mcap").read_bytes()
+    path.write_bytes(finished + data[start:])  # in a frame, and once more as they are
+    with Salvage(path) as found:
+        assert sum(len(rows) for rows in found.blocks()) == 12
+
+
 def test_damaged_times_keep_their_order(tmp_path: Path, small) -> None:
     """They are no part of a step, so nothing else vouches for them."""
     small.write(tmp_path / "log.mcap").close()
@@ -220,9 +243,16 @@ def test_damaged_times_keep_their_order(tmp_path: Path, small) -> None:
     assert after == before
 
 
-def test_a_log_without_a_header_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_a_log_without_a_header_is_refused_in_one_line(tmp_path: Path, small) -> None:
     path = tmp_path / "log.mcap"
-    for content, said in ((b"", "is empty"), (bytes(5000), "no whole header")):
+    whole = _unfinished(tmp_path, small, 1)
+    short = "too short to hold the header of a deployment log"
+    for content, said in (
+        (b"", "is empty"),
+        (bytes(5000), "no whole header"),
+        *((whole[:size], short) for size in (1, 8, 10, 40, 60, 500)),
+        (whole[:60].replace(b"x-otc", b"x-abc"), "not of profile"),
+    ):
         path.write_bytes(content)
         with pytest.raises(UserError, match=said):
             Salvage(path)

@@ -17,7 +17,7 @@ from otc_dist.transitions import JointStep
 FAMILIES = ("hopper-3x1", "predator-prey-3", "cooperative-navigation-4", "navigation", "5m_vs_6m")
 
 
-def described(env_id: str, steps: int, copies: int) -> Description:
+def described(env_id: str, steps: int, copies: int, **deployment: object) -> Description:
     algorithm = {"name": "discrete-cql" if env_id == "5m_vs_6m" else "bcq"}
     return Description.build(
         {
@@ -26,7 +26,7 @@ def described(env_id: str, steps: int, copies: int) -> Description:
             "dataset": {"name": f"{env_id}/random"},
             "algorithm": algorithm,
             "sampling": {"name": "uniform"},
-            "deployment": {"transitions": steps * copies, "count": 2},
+            "deployment": {"transitions": steps * copies, "count": 2, **deployment},
             "engine": {"name": "eager"},
         }
     )
@@ -45,9 +45,16 @@ def header_of(description: Description, k: int, **fields: object) -> LogHeader:
     return replace(header, **fields)  # type: ignore[arg-type]
 
 
-def played(path: Path, env_id: str, steps: int = 120, copies: int = 2, k: int = 2) -> Path:
-    """The finished log of a deployment with random actions."""
-    description = described(env_id, steps, copies)
+def played(
+    path: Path,
+    env_id: str,
+    steps: int = 120,
+    copies: int = 2,
+    k: int = 2,
+    description: Description | None = None,
+) -> Path:
+    """The finished log of a deployment with random actions, so many steps if not described."""
+    description = description or described(env_id, steps, copies)
     env = registry.make(env_id, copies, description.progress(k))
     rollout = Rollout(env, description.seed, "deployment", k)
     random = np.random.default_rng(0)

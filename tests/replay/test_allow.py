@@ -162,7 +162,7 @@ def test_no_folder_for_learners_is_made_of_a_log_that_names_code(
     writer = LogWriter.create(whole, replace(header, deployment=1))
     for step in read_steps(log):
         writer.write(step)
-    writer.finish({})
+    writer.finish(dict.fromkeys(header.team.names, "0" * 16))
     folder = foreign.folder / "again"
     words = (str(whole), str(log), "--publish", "--learners", "--run", str(folder))
     with pytest.raises(UserError, match=f"--allow {foreign.reference}"):

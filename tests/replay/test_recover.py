@@ -1,12 +1,21 @@
 """`--recover` writes what is whole to a log of its own, whole or not at all."""
 
+import json
 import resource
 from pathlib import Path
 
 import pytest
 
-from otc_dist.deployment_log.reader import read_steps, read_summary
-from tests.deployment_log.conftest import Recording, same_step
+from otc_dist.datasets.importers import import_files
+from otc_dist.deployment_log.format import partial_path
+from otc_dist.deployment_log.measuring import read_measured
+from otc_dist.deployment_log.reader import read_header, read_steps, read_summary
+from otc_dist.deployment_log.writer import LogWriter
+from otc_dist.errors import UserError
+from otc_dist.replay.__main__ import main
+from tests.deployment_log.conftest import Recording, again, same_step
+
+from .deployments import described, played
 
 
 def damaged(recorded: tuple[Recording, Path], folder: Path) -> Path:
@@ -31,19 +40,105 @@ def test_every_whole_step_is_in_the_new_log(
     assert 600 < len(steps) < 1200
     assert all(same_step(step, made.steps[step.step]) for step in steps)
     summary = read_summary(out)
-    assert summary.finished and summary.steps == len(steps) and len(summary.ranges) == 2
+    assert summary.steps == len(steps) and len(summary.extent.ranges) == 2
+    assert not summary.extent.finished and not summary.extent.whole
     assert "gaps          steps" in replay(out)[1]
 
 
-def test_an_unfinished_log_becomes_a_finished_one(tmp_path: Path, replay) -> None:
+@pytest.mark.parametrize("named", ["log.mcap", "log.mcap.partial"])
+def test_an_unfinished_log_is_found_by_both_names(tmp_path: Path, replay, named: str) -> None:
     made = Recording(((3, 1), (2, 2)), copies=2, steps=12)
     made.write(tmp_path / "log.mcap").close()
     partial = tmp_path / "log.mcap.partial"
     partial.write_bytes(partial.read_bytes()[:-1])
-    assert replay(partial, "--recover", "--out", tmp_path / "new.mcap")[0] == 0
-    steps = list(read_steps(tmp_path / "new.mcap"))
+    status, told = replay(tmp_path / named, "--recover")
+    out = tmp_path / "log.recovered.mcap"
+    assert status == 1
+    assert told == (
+        f"{out}: partial: 11 steps, of how many is not known;"
+        " missing: none before step 11, and how many follow is not known\n"
+    )
+    steps = list(read_steps(out))
     assert len(steps) == 11
     assert all(map(same_step, steps, made.steps))
+
+
+@pytest.fixture(scope="module")
+def sequential(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The finished log of a deployment in which 3 agents explore in turn, 40 steps each."""
+    path = tmp_path_factory.mktemp("sequential") / "deployments" / "deployment_01.mcap"
+    description = described("hopper-3x1", 40, 2, exploration="sequential")
+    return played(path, "hopper-3x1", 120, k=1, description=description)
+
+
+def unfinished(log: Path, folder: Path, stop: int | None = None) -> Path:
+    """The first steps of a log, as a run that was killed leaves them."""
+    path = folder / "deployments" / log.name
+    writer = LogWriter.create(path, read_header(log))
+    for step in read_steps(log, 0, stop):
+        writer.write(step)
+    writer.close()
+    return path
+
+
+def test_what_is_missing_at_the_end_is_told_by_every_reader(
+    sequential: Path, tmp_path: Path, replay, refused, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = "partial: 63 of 120 steps"
+    path = unfinished(sequential, tmp_path, 63)
+    assert "unfinished: 63 of 120 steps; killed, or" in replay(path)[1]
+    status, told = replay(path, "--recover")
+    out = path.with_name("deployment_01.recovered.mcap")
+    assert (status, told) == (1, f"{out}: {short}; missing: steps 63 to 119\n")
+    again = tmp_path / "again.mcap"
+    assert replay(out, "--recover", "--out", again)[0] == 1
+    for log in (out, again):
+        status, told = replay(log)
+        assert f"  state         {short}\n" in told and "gaps          steps 63 to 119" in told
+        status, told = replay(log, "--verify")
+        assert status == 1 and f"WRONG {short} that its description asks for" in told
+        assert replay(log, "--export", "csv", "--out", tmp_path / "csv", "--force")[0] == 0
+        (of_log,) = json.loads((tmp_path / "csv" / "export.json").read_text())["logs"]
+        assert (of_log["whole"], of_log["held"]) == (False, "63 of 120 steps")
+        assert import_files([log], log.name.partition(".")[0]).notes == (f"{log.name} is {short}",)
+        with pytest.raises(UserError, match=f"is {short}; the whole deployment is needed"):
+            read_measured(log)
+        learners = ("--publish", "--learners", "--run", tmp_path / "run")
+        assert short in refused(log, *learners)
+    main([str(out), "--html", str(tmp_path / "page.html")])
+    assert f"note: {out} is {short}" in capsys.readouterr().err
+    assert f"· {short}" in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_all_steps_of_a_log_without_its_end_are_not_called_whole(
+    sequential: Path, tmp_path: Path, replay, cut: bool
+) -> None:
+    if cut:
+        path = tmp_path / "deployment_01.mcap"
+        path.write_bytes(sequential.read_bytes()[:-100])
+    else:
+        path = unfinished(sequential, tmp_path)
+    status, told = replay(path, "--recover")
+    out, count = path.with_name("deployment_01.recovered.mcap"), "120 of 120 steps"
+    assert (status, told) == (0, f"{out}: recovered without its end: {count}; missing: none\n")
+    replay(out, "--recover", "--out", tmp_path / "again.mcap")
+    for log in (out, tmp_path / "again.mcap"):
+        assert f"recovered without its end: {count}" in replay(log)[1]
+        assert "-     recovered without its end" in replay(log, "--verify")[1]
+        assert not read_summary(log).extent.whole
+
+
+def test_what_lost_nothing_is_whole_again(sequential: Path, tmp_path: Path, replay) -> None:
+    data, path = bytearray(sequential.read_bytes()), tmp_path / "log.mcap"
+    data[data.index(b"otc_dist.episodes") + 60] ^= 1  # in a table, which is found again
+    path.write_bytes(data)
+    status, told = replay(path, "--recover")
+    assert status == 0 and "all of 120 of 120 steps; missing: none" in told
+    out = tmp_path / "log.recovered.mcap"
+    assert "  state         recovered\n" in replay(out)[1]
+    assert read_summary(out).extent.whole
+    assert replay(out, "--verify")[0] == 0
 
 
 def test_what_exists_is_kept_without_force(
@@ -77,3 +172,17 @@ def test_a_full_disk_leaves_nothing(
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert message == f"cannot write {tmp_path / 'log.recovered.mcap'}: File too large"
     assert [p.name for p in tmp_path.iterdir()] == ["log.mcap"]
+
+
+def test_steps_of_another_deployment_in_a_log_of_the_older_form_are_told(
+    sequential: Path, tmp_path: Path, replay
+) -> None:
+    """Their checksums hold there; the seeds of their episodes do not fit."""
+    partial = partial_path(unfinished(sequential, tmp_path))
+    out = tmp_path / "out.mcap"
+    assert replay(again(partial, format_version=1), "--recover", "--out", out)[0] == 0
+    again(partial, deployment=2)
+    status, told = replay(partial, "--recover", "--out", out, "--force")
+    assert status == 1 and "120 of its steps have seeds of another deployment" in told
+    assert replay(out, "--verify")[0] == 1
+    assert import_files([partial], "foreign").notes[-1].endswith("seeds of another deployment")

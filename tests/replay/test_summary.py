@@ -85,7 +85,7 @@ def test_an_unfinished_log_is_summarised_from_its_steps(tmp_path: Path, replay) 
         assert "unfinished" in told and "12 (24 transitions" in told
     unfinished = read_summary(partial_path(tmp_path / "log.mcap"))
     assert unfinished.episodes == read_summary(whole).episodes
-    assert unfinished.policies == {} and unfinished.ranges == [(0, 12)]
+    assert unfinished.policies == {} and unfinished.extent.ranges == [(0, 12)]
 
 
 @pytest.mark.parametrize(

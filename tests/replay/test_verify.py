@@ -127,7 +127,8 @@ def test_a_description_of_another_version_hides_no_simulation(
     path = retold(logs["navigation"], tmp_path / "log.mcap", description=text)
     status, told = replay(path, "--verify")
     assert status == 0 and "120 steps: every observation" in told
-    assert "-     its length and policies, since its description is not understood" in told
+    assert "-     its policies, since its description is not understood" in told
+    assert "as many as its description asks for: 120" in told
 
 
 def test_a_part_is_verified_from_its_first_state(logs: dict[str, Path], replay) -> None:
@@ -199,7 +200,8 @@ def test_a_gap_is_told_and_what_is_behind_it_is_played(
     replay(partial, "--recover")
     status, told = replay(tmp_path / "log.recovered.mcap", "--verify")
     assert status == WRONG
-    assert told.count("WRONG") == 1 and "are missing" in told
+    assert told.count("WRONG") == 2 and "are missing" in told
+    assert "WRONG partial: 119 of 120 steps that its description asks for" in told
     assert "119 steps: every observation" in told
 
 
@@ -212,7 +214,7 @@ def test_an_unfinished_log_is_verified_as_far_as_it_goes(
     writer.close()
     status, told = replay(tmp_path / "log.mcap", "--verify")
     assert status == 0
-    assert "30 steps: every observation" in told and "30 steps, of 120 that its" in told
+    assert "30 steps: every observation" in told and "unfinished: 30 of 120 steps that its" in told
 
 
 @pytest.fixture(scope="module")

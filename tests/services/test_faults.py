@@ -13,6 +13,7 @@ import pytest
 from otc_dist.bus.wire import PROTOCOL_VERSION
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.reader import read_header
+from otc_dist.replay.recover import recover
 from tests.deployment_log.conftest import again
 
 from .conftest import AGENTS, PROCESSES, Services
@@ -141,6 +142,12 @@ def test_a_log_that_does_not_come_out_again_is_refused(run: Services) -> None:
     run.start("host")
     assert run.wait("host") == 1
     assert "is of run another-run, deployment 1, not of" in run.output("host").splitlines()[-1]
+    # What is recovered of it is not the deployment that the others would learn from.
+    recover(partial_path(run.folder.deployment(1)), run.folder.deployment(1), force=False)
+    run.start("host")
+    assert run.wait("host") == 2
+    last = run.output("host").splitlines()[-1]
+    assert "is partial: 10 of 20 steps; the whole deployment is needed" in last
 
 
 def test_a_full_disk_is_one_line_and_loses_nothing(run: Services, undisturbed: Services) -> None:

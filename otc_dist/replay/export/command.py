@@ -18,7 +18,7 @@ from otc_dist.errors import UserError
 from otc_dist.replay.export.formats import FORMATS, Format, View
 from otc_dist.replay.export.room import require_room
 from otc_dist.replay.export.trajectories import Trajectory, trajectories
-from otc_dist.replay.output import claimed
+from otc_dist.replay.output import claimed, note_shortfall
 from otc_dist.replay.selection import Selection, select
 from otc_dist.spec import TeamSpec
 
@@ -43,14 +43,16 @@ class _Part:
         return (self.selection.stop - self.selection.start) * self.copies
 
     def about(self) -> dict[str, object]:
-        header = self.summary.header
+        header, extent = self.summary.header, self.summary.extent
         return {
             "file": self.summary.path.name,
             "run": header.run,
             "deployment": header.deployment,
             "seed": header.seed,
             "description_digest": header.description_digest,
-            "finished": self.summary.finished,
+            "finished": extent.finished,
+            "whole": extent.whole,
+            "held": extent.count,
             "steps": [self.selection.start, self.selection.stop],
             "policies": self.summary.policies,
             "versions": dict(header.versions),
@@ -91,6 +93,7 @@ def _ended_in_order() -> Iterator[None]:
 def _part(path: Path, arguments: argparse.Namespace) -> _Part:
     with OpenLog(path) as log:
         summary = summarise(log)
+    note_shortfall(summary)
     return _Part(summary, select(arguments, summary))
 
 
