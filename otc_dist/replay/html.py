@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from otc_dist.replay.output import claimed
 from otc_dist.replay.tape import Tape, selected_tape
-from otc_dist.scenes.scene import Scene, agent_colour
+from otc_dist.scenes.scene import Scene, agent_colour, choice_colours
 
 _SCRIPTS = ("tape.js", "scene.js", "plots.js", "playback.js")  # in this order one program
 _SECONDS = 0.05  # a step, where no scene says how long it takes
@@ -59,6 +59,7 @@ def _packed(tape: Tape) -> dict[str, object]:
         "seconds": tape.scene.seconds if tape.scene is not None else _SECONDS,
         "numbers": _array(tape.numbers, "<i4"),
         "episodes": _array(tape.episodes, "<i4"),
+        "names": [tape.episode(i) for i in _first_steps(tape)],
         "rewards": _array(tape.rewards, "<f4"),
         "returns": _array(tape.returns, "<f4"),
         "exploring": _array(tape.exploring, "<u1"),
@@ -73,8 +74,19 @@ def _packed(tape: Tape) -> dict[str, object]:
             }
             for place, agent, actions in zip(tape.places, tape.agents, tape.actions, strict=True)
         ],
+        "choices": choice_colours(
+            tape.scene.choices if tape.scene else (),
+            max((agent.choices for agent in tape.agents), default=0),
+        ),
         "scene": _scene(tape, tape.scene) if tape.scene is not None else None,
     }
+
+
+def _first_steps(tape: Tape) -> list[int]:
+    """Where on the tape an episode begins, or goes on behind steps that are missing."""
+    new = np.diff(tape.episodes, prepend=-1) != 0
+    new |= np.diff(tape.numbers, prepend=tape.numbers[0] - 1) != 1
+    return [int(i) for i in np.flatnonzero(new)]
 
 
 def _scene(tape: Tape, scene: Scene) -> dict[str, object]:

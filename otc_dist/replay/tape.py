@@ -1,7 +1,7 @@
 """A part of a log as arrays over its steps: what pictures of it are made of."""
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +20,8 @@ from otc_dist.scenes.scene import Frames, Scene
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Bool, Float32, Float64
 
+_ENDINGS = {1: "st", 2: "nd", 3: "rd"}  # of ordinal numbers
+
 
 @dataclass(frozen=True)
 class Tape:
@@ -30,6 +32,7 @@ class Tape:
         places: which of the team's agents they are.
         numbers: (T,), of the steps.
         episodes: (T,), which of the log's episodes a step belongs to, as `--episode` counts them.
+        ordinals: (T,), which of the copy's own episodes that is, counted from 1.
         states: (T, state_size), before the steps.
         rewards: (T, N).
         returns: (T, N), from the beginning of the episode up to and with the step.
@@ -45,6 +48,7 @@ class Tape:
     scene: Scene | None
     numbers: NDArray[np.int64]
     episodes: NDArray[np.int64]
+    ordinals: NDArray[np.int64]
     states: Float64
     rewards: Float64
     returns: Float64
@@ -59,6 +63,12 @@ class Tape:
     def agents(self) -> tuple[AgentSpec, ...]:
         """The agents that are shown."""
         return tuple(self.header.team.agents[place] for place in self.places)
+
+    def episode(self, i: int) -> str:
+        """Which episode step i of the tape belongs to: `copy 0, its 2nd episode`."""
+        number = int(self.ordinals[i])
+        ending = "th" if number % 100 in (11, 12, 13) else _ENDINGS.get(number % 10, "th")
+        return f"copy {self.copy}, its {number}{ending} episode"
 
     def frames(self, scene: Scene) -> Frames:
         """Where the bodies are before each step."""
@@ -80,6 +90,50 @@ def selected_tape(arguments: argparse.Namespace) -> Tape:
             raise UserError(f"{log.path} has no steps to show")
         note_shortfall(summary)
         return read_tape(log, summary, selection)
+
+
+def highlights(arguments: argparse.Namespace) -> list[tuple[str, Tape]]:
+    """The best and the worst episode by their return, each with what it is called; or the one part
+    that the command line asks for, called "".
+
+    Of those that ended, or, where none has, of all.
+
+    Raises:
+        UserError: as `selected_tape`.
+    """
+    if arguments.steps is not None or arguments.episode is not None or len(arguments.files) > 1:
+        return [("", selected_tape(arguments))]
+    with OpenLog(arguments.files[0]) as log:
+        summary = summarise(log)
+        selection = select(arguments, summary)
+        whole = [one for one in summary.episodes if one.whole and (one.terminated or one.truncated)]
+        shown = selection.indices(log.header.team.names)
+        ranked = sorted(
+            whole or summary.episodes, key=lambda one: sum(one.returns[i] for i in shown)
+        )
+        if not ranked:
+            raise UserError(f"{log.path} has no steps to show")
+        if len(ranked) == 1:
+            chosen = {"the only episode": ranked[0]}
+        else:
+            chosen = {f"best of {len(ranked)} episodes": ranked[-1]}
+            chosen[f"worst of {len(ranked)} episodes"] = ranked[0]
+        return [
+            (
+                name,
+                read_tape(
+                    log,
+                    summary,
+                    replace(
+                        selection,
+                        start=one.start,
+                        stop=one.start + one.length,
+                        copy=one.copy,
+                    ),
+                ),
+            )
+            for name, one in chosen.items()
+        ]
 
 
 def read_tape(log: OpenLog, summary: LogSummary, selection: Selection) -> Tape:
@@ -111,6 +165,7 @@ def read_tape(log: OpenLog, summary: LogSummary, selection: Selection) -> Tape:
         scene=find(team),
         numbers=numbers[wanted],
         episodes=np.array(of_copy, np.int64)[which[wanted]],
+        ordinals=which[wanted] + 1,
         states=columns["state"][wanted],
         rewards=rewards[wanted],
         returns=_running(rewards, which)[wanted],

@@ -5,6 +5,8 @@ of a skirmish in theirs, seen from above. So a body is some capsules that are fi
 its pose is (u, v, angle), and a disc is a capsule without length.
 """
 
+import colorsys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -25,6 +27,23 @@ AGENT_COLOURS: tuple[Colour, ...] = (
 NOBODYS: Colour = (125, 134, 146)  # what no agent moves
 GOAL: Colour = (47, 158, 68)
 FOE: Colour = (204, 20, 66)
+_IDLE: dict[str, Colour] = {"no-op": (214, 219, 225), "stop": (160, 168, 178)}
+
+
+def choice_colours(names: Sequence[str], count: int) -> tuple[Colour, ...]:
+    """One for each of `count` discrete actions; those that do nothing, as far as `names` tell, are
+    grey.
+    """
+    found: list[Colour] = []
+    for choice in range(count):
+        if choice < len(names) and names[choice] in _IDLE:
+            found.append(_IDLE[names[choice]])
+            continue
+        # Hues a golden angle apart: neighbours differ, and so do many.
+        hue, light = (0.61 + 0.381966 * choice) % 1, 0.46 + 0.14 * (choice % 2)
+        red, green, blue = colorsys.hls_to_rgb(hue, light, 0.62)
+        found.append((round(255 * red), round(255 * green), round(255 * blue)))
+    return tuple(found)
 
 
 def agent_colour(agent: int) -> Colour:

@@ -96,6 +96,21 @@ def test_a_part_of_a_log(deployment, tmp_path: Path, replay: Replay) -> None:
     assert np.allclose(array(tape["returns"], "<f4", -1), returns_so_far(steps, 0)[5:9], atol=1e-5)
 
 
+def test_episodes_are_named_by_their_copy_and_their_place_in_it(
+    page: Path, deployment, tmp_path: Path, replay: Replay
+) -> None:
+    path, steps = deployment
+    tape = tape_of(page)
+    ends = [t for t, s in enumerate(steps[:-1]) if s.terminated[0] or s.truncated[0]]
+    assert len(ends) >= 2
+    names = [f"copy 0, its {n} episode" for n in ("1st", "2nd", "3rd")]
+    assert tape["names"][:3] == names and len(tape["names"]) == len(ends) + 1
+    # One that is shown alone is still its copy's second.
+    second = array(tape["episodes"], "<i4", -1)[ends[0] + 1]
+    replay(path, "--html", tmp_path / "one.html", "--episode", second)
+    assert tape_of(tmp_path / "one.html")["names"] == names[1:2]
+
+
 def test_an_episode_of_another_copy(deployment, tmp_path: Path, replay: Replay) -> None:
     path, steps = deployment
     out = tmp_path / "episode.html"
@@ -115,6 +130,9 @@ def test_discrete_actions_have_names(tmp_path: Path, replay: Replay) -> None:
     names = tape["scene"]["choices"]
     assert len(names) == tape["agents"][0]["choices"] == 12
     assert names[:3] == ["no-op", "stop", "north"] and names[6] == "attack 0"
+    colours = [tuple(colour) for colour in tape["choices"]]
+    assert len(set(colours)) == 12  # each has its own in the strips
+    assert len(set(colours[0])) == 3 and max(colours[0]) - min(colours[0]) < 20  # idle: grey
 
 
 def test_an_environment_that_cannot_be_drawn(recorded, tmp_path: Path, replay: Replay) -> None:
@@ -180,7 +198,7 @@ window.addEventListener("error", (event) => { seen.error = event.message; });
   press("End"); await frame(); note("end");
   press("Home"); await frame(); note("home");
   press("ArrowDown"); await frame(); note("second episode");
-  const plot = document.querySelectorAll("#plots canvas")[2], box = plot.getBoundingClientRect();
+  const plot = document.querySelectorAll("#plots canvas")[3], box = plot.getBoundingClientRect();
   const event = { clientX: box.left + 64 + (box.width - 76) / 2, pointerId: 1, buttons: 1 };
   plot.setPointerCapture = () => {};
   plot.dispatchEvent(new PointerEvent("pointerdown", event)); await frame(); note("middle");
@@ -221,7 +239,8 @@ def test_a_browser_plays_the_page(page: Path, deployment, tmp_path: Path, chromi
         assert number_of(total) == pytest.approx(sums[step], rel=6e-3)
     first = next(t for t, s in enumerate(steps) if s.terminated[0] or s.truncated[0])
     assert int(seen["second episode"][0]) == first + 1
-    assert int(seen["second episode"][1]) > int(seen["home"][1])
+    assert seen["home"][1] == "copy 0, its 1st episode"
+    assert seen["second episode"][1] == "copy 0, its 2nd episode"
     # Zoomed by e around the cursor; whoever goes elsewhere takes the plots along.
     (first, last), (begin, end) = seen["zoomed"], seen["followed"]
     assert last - first == pytest.approx(119 / np.e) and (first + last) / 2 == pytest.approx(59.5)

@@ -29,6 +29,7 @@ for (let i = 0; i < count; i++) {
 }
 
 const begins = new Set(starts);
+const episodeAt = (i) => starts.findLastIndex((start) => start <= i); // as places in `starts`
 
 const byId = (id) => document.getElementById(id);
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
@@ -46,6 +47,7 @@ function format(value) {
   return value.toFixed(digits).replace("-", "−");
 }
 
+const choiceRgb = (action) => tape.choices[action] || [125, 134, 146];
 const choice = (action) => (scene && scene.choices[action]) || `choice ${action}`;
 
 const at = () => clamp(Math.floor(position + 1e-6), 0, count - 1);
@@ -90,7 +92,7 @@ for (const [n, agent] of tape.agents.entries()) {
 
 function showNow(i) {
   byId("step").textContent = String(numbers[i]);
-  byId("episode").textContent = String(episodes[i]);
+  byId("episode").textContent = tape.names[episodeAt(i)];
   byId("reward").textContent = format(mean(rewards, i));
   byId("return").textContent = format(mean(returns, i));
   for (const { reward, rows, n } of bars) {
@@ -100,12 +102,18 @@ function showNow(i) {
     for (const [j, { fill, value }] of rows.entries()) {
       const action = actions[n][i * rows.length + j];
       const [low, high] = [agent.low[j], agent.high[j]];
+      if (agent.choices) {
+        [fill.style.left, fill.style.width] = ["0%", "100%"];
+        fill.style.background = colour(choiceRgb(action));
+        value.textContent = choice(action);
+        continue;
+      }
       const place = (x) => (100 * (clamp(x, low, high) - low)) / (high - low || 1);
-      const zero = agent.choices ? 0 : place(0);
+      const zero = place(0);
       const end = place(action);
       fill.style.left = `${Math.min(zero, end)}%`;
       fill.style.width = `${Math.abs(end - zero)}%`;
-      value.textContent = agent.choices ? choice(action) : format(action);
+      value.textContent = format(action);
     }
   }
 }
