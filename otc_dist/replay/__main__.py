@@ -71,8 +71,13 @@ _ACTIONS: tuple[_Action, ...] = (
         metavar="FORMAT",
         choices=tuple(FORMATS),
     ),
-    _Action("--video", "video", "a film of it", metavar="OUT.mp4"),
-    _Action("--sheet", "sheet", "pictures of it on one sheet", metavar="OUT.png"),
+    _Action("--video", "video", "a film of its best and its worst episode", metavar="OUT.mp4"),
+    _Action(
+        "--sheet",
+        "sheet",
+        "pictures of its best and its worst episode on one sheet",
+        metavar="OUT.png",
+    ),
     _Action(
         "--foxglove",
         "foxglove",

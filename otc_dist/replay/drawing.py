@@ -7,7 +7,15 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from otc_dist.replay.tape import Tape
-from otc_dist.scenes.scene import NOBODYS, Body, Colour, Point, Scene, agent_colour
+from otc_dist.scenes.scene import (
+    NOBODYS,
+    Body,
+    Colour,
+    Point,
+    Scene,
+    agent_colour,
+    choice_colours,
+)
 from otc_dist.transitions import Float64
 
 PAPER, INK, FAINT, GREY = (255, 255, 255), (27, 36, 48), (226, 230, 235), (93, 104, 117)
@@ -93,9 +101,12 @@ def _mixed(colour: Colour, level: float) -> Colour:
 
 
 class Panel:
-    """What is written beside the picture: step, reward, return, each agent's action, a plot."""
+    """What is written beside the picture: episode, step, reward, return, actions, a plot.
 
-    def __init__(self, tape: Tape, width: int, height: int) -> None:
+    `title` says why it is this episode that is shown.
+    """
+
+    def __init__(self, tape: Tape, width: int, height: int, title: str) -> None:
         self._tape, self._size = tape, (width, height)
         self._large, self._small = ImageFont.load_default(17), ImageFont.load_default(13)
         self._rewards, self._returns = tape.rewards.mean(axis=1), tape.returns.mean(axis=1)
@@ -106,6 +117,10 @@ class Panel:
         run = _shortened(header.run, width - 2 * _MARGIN, self._small)
         draw.text((_MARGIN, 10), run, GREY, self._small)
         draw.text((_MARGIN, 27), f"deployment {header.deployment}", GREY, self._small)
+        draw.text((_MARGIN, 48), title, INK, self._large)
+        self._facts = 72 if title else 52  # px, where they begin
+        names, count = tape.choice_names, max(agent.choices for agent in tape.agents)
+        self._choices = choice_colours(names, count)
         self._chart = (_MARGIN, height - _CHART, width - _MARGIN, height - _MARGIN)
         _plot(draw, self._chart, self._returns, tape.episodes.tolist())
         draw.text((_MARGIN, height - _CHART - 18), "return so far", GREY, self._small)
@@ -116,21 +131,21 @@ class Panel:
         draw = ImageDraw.Draw(panel)
         width, height = self._size
         facts = (
-            (f"step {tape.numbers[i]:,}", f"episode {tape.episodes[i]:,}"),
-            (f"reward {self._rewards[i]:.3g}", f"return {self._returns[i]:,.2f}"),
+            (tape.episode(i),),
+            (f"step {tape.numbers[i]:,}", f"return {self._returns[i]:,.2f}"),
         )
         for line, texts in enumerate(facts):
             for column, text in enumerate(texts):
                 x = _MARGIN + column * (width - 2 * _MARGIN) // 2
-                draw.text((x, 52 + 24 * line), text, INK, self._large)
-        self._draw_agents(draw, i, 108, height - _CHART - 24)
+                draw.text((x, self._facts + 24 * line), text, INK, self._large)
+        self._draw_agents(draw, i, self._facts + 56, height - _CHART - 24)
         left, top, right, bottom = self._chart
         cursor = left + (right - left) * (i + 0.5) / len(tape)
         draw.line([(cursor, top - 3), (cursor, bottom + 3)], agent_colour(0), 2)
         return panel
 
     def _choice(self, action: float) -> str:
-        names = self._tape.scene.choices if self._tape.scene is not None else ()
+        names = self._tape.choice_names
         known = action.is_integer() and 0 <= action < len(names)
         return names[int(action)] if known else f"choice {action:g}"
 
@@ -154,7 +169,10 @@ class Panel:
             for j, action in enumerate(tape.actions[n][i].tolist()):
                 low, high = agent.action_low[j], agent.action_high[j]
                 box = (_MARGIN + 16, y + row // 2 - 4, right - 70, y + row // 2 + 4)
-                _bar(draw, box, action, low, high, colour, centred=not agent.choices)
+                if agent.choices:
+                    draw.rectangle(box, self._choices[int(action)])
+                else:
+                    _bar(draw, box, action, low, high, colour)
                 text = self._choice(action) if agent.choices else f"{action:.3f}"
                 middle = y + row // 2
                 draw.text((right, middle), text, INK, self._small, anchor="rm")
@@ -176,10 +194,8 @@ def _bar(
     low: float,
     high: float,
     colour: Colour,
-    *,
-    centred: bool,
 ) -> None:
-    """A bar from zero, or from the lower end, to `value`."""
+    """A bar from zero to `value`."""
     draw.rectangle(box, FAINT)
     if not math.isfinite(value):
         return
@@ -188,7 +204,7 @@ def _bar(
     def place(x: float) -> float:
         return left + (right - left) * (min(max(x, low), high) - low) / (high - low)
 
-    start, end = sorted((place(0.0) if centred else left, place(value)))
+    start, end = sorted((place(0.0), place(value)))
     draw.rectangle((start, top, end, bottom), colour)
 
 

@@ -75,8 +75,7 @@ def _packed(tape: Tape) -> dict[str, object]:
             for place, agent, actions in zip(tape.places, tape.agents, tape.actions, strict=True)
         ],
         "choices": choice_colours(
-            tape.scene.choices if tape.scene else (),
-            max((agent.choices for agent in tape.agents), default=0),
+            tape.choice_names, max((agent.choices for agent in tape.agents), default=0)
         ),
         "scene": _scene(tape, tape.scene) if tape.scene is not None else None,
     }

@@ -1,5 +1,6 @@
 """Pictures of a MuJoCo model without a screen, by EGL or OSMesa."""
 
+import math
 import os
 import subprocess
 import sys
@@ -20,16 +21,24 @@ _LIBRARIES = ("egl", "osmesa")
 _SAMPLES = 4  # a pixel
 _AMBIENT = 0.4  # of the light: the models' own leaves the sides that we see dark
 _MAXIMUM_GEOMS = 200
+_ELEVATION = -6.0  # degrees: a little from above, so that the ground shows where it moves
+_MIDDLE = 0.42  # of the height that is seen, above the ground
+_FOLLOWED = 1  # the body after the world's
 
 
 class Offscreen:
-    """Renders a model through its first camera, which follows the robot; a context manager.
+    """Renders a model from the side, following its first body; a context manager.
+
+    Args:
+        model: it stands on the plane z = 0 and moves along x.
+        width, height: of a picture, px.
+        seen: height of what is seen where the model is, m.
 
     Raises:
         UserError: neither EGL nor OSMesa works here.
     """
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, seen: float) -> None:
         library = import_module(f"mujoco.{_working_library()}")
         self._model, self._data = model, mujoco.MjData(model)
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
@@ -44,7 +53,11 @@ class Offscreen:
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = False
         self._options, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
-        self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        self._camera.azimuth, self._camera.elevation = 90.0, _ELEVATION
+        half = math.radians(model.vis.global_.fovy) / 2
+        self._camera.distance = seen / 2 / math.tan(half)
+        self._camera.lookat[:] = (0.0, 0.0, _MIDDLE * seen)
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._pixels: Picture = np.empty((height, width, 3), np.uint8)
 
@@ -64,6 +77,7 @@ class Offscreen:
         """The model with its joints at `positions` (nq,); a fresh array."""
         self._data.qpos[:] = positions
         mujoco.mj_forward(self._model, self._data)
+        self._camera.lookat[0] = self._data.xpos[_FOLLOWED, 0]
         mujoco.mjv_updateScene(
             self._model,
             self._data,

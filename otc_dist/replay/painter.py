@@ -14,13 +14,15 @@ from otc_dist.scenes.robots import RobotScene
 
 WIDTH, HEIGHT = 1120, 480  # px; even numbers, as video codecs want
 _PANEL = 320  # px
+_ROOM = 1.3  # times as high as a robot that stands is what a picture of it shows
 
 Paint = Callable[[int], Image.Image]  # of step i of the tape
 
 
 @contextmanager
-def painter(tape: Tape) -> Iterator[Paint]:
-    """Paints the tape's steps, WIDTH x HEIGHT; robots by MuJoCo, all else drawn.
+def painter(tape: Tape, title: str) -> Iterator[Paint]:
+    """Paints the tape's steps, WIDTH x HEIGHT; robots by MuJoCo, all else drawn. `title` says which
+    episode it is.
 
     Raises:
         UserError: the environment cannot be drawn, or robots cannot be rendered here.
@@ -31,7 +33,7 @@ def painter(tape: Tape) -> Iterator[Paint]:
             f"the states of {tape.header.team.env_id} do not tell what it looks like;"
             " --html shows its actions and rewards"
         )
-    panel = Panel(tape, _PANEL, HEIGHT)
+    panel = Panel(tape, _PANEL, HEIGHT, title)
 
     def beside(picture: Image.Image, i: int) -> Image.Image:
         whole = Image.new("RGB", (WIDTH, HEIGHT))
@@ -45,7 +47,7 @@ def painter(tape: Tape) -> Iterator[Paint]:
         return
     _colour_links(scene)
     positions = scene.positions(tape.states)
-    with Offscreen(scene.model, WIDTH - _PANEL, HEIGHT) as offscreen:
+    with Offscreen(scene.model, WIDTH - _PANEL, HEIGHT, _ROOM * scene.top) as offscreen:
         yield lambda i: beside(Image.fromarray(offscreen.render(positions[i])), i)
 
 

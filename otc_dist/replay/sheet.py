@@ -1,4 +1,4 @@
-"""`--sheet OUT.png`: a deployment at a glance, twelve moments of it on one sheet."""
+"""`--sheet OUT.png`: a deployment at a glance, twelve moments of its best and worst episode."""
 
 import argparse
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 
 from otc_dist.progress import shown
 from otc_dist.replay.output import claimed
-from otc_dist.replay.tape import selected_tape
+from otc_dist.replay.tape import highlights
 from otc_dist.replay.video import missing
 
 _COLUMNS, _ROWS = 3, 4
@@ -15,26 +15,32 @@ _GAP = 8  # px
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the sheet of the selected steps and say where it is."""
+    """Write the sheet of the best and the worst episode, or of the selected steps."""
     try:
         from PIL import Image
 
         from otc_dist.replay.painter import HEIGHT, WIDTH, painter
     except ModuleNotFoundError as error:
         raise missing(error) from None
-    out, tape = Path(arguments.sheet), selected_tape(arguments)
-    # The first and the last step, and evenly between them.
-    moments = np.unique(np.rint(np.linspace(0, len(tape) - 1, _COLUMNS * _ROWS)).astype(int))
-    rows = -(-len(moments) // _COLUMNS)
+    out, tapes = Path(arguments.sheet), highlights(arguments)
+    each = _COLUMNS * _ROWS // len(tapes)
+    # Of each the first and the last step, and evenly between them.
+    moments = [np.unique(np.rint(np.linspace(0, len(t) - 1, each)).astype(int)) for _, t in tapes]
+    firsts = np.cumsum([0, *(-(-len(of_one) // _COLUMNS) for of_one in moments)]).tolist()
+    *firsts, rows = firsts  # rows at which they begin, and how many there are
     size = (_COLUMNS * (WIDTH + _GAP) + _GAP, rows * (HEIGHT + _GAP) + _GAP)
     sheet = Image.new("RGB", size, (200, 205, 211))
     with claimed(out, force=arguments.force) as path:
-        with painter(tape) as paint, shown(out.name, "pictures") as report:
-            for n, i in enumerate(moments.tolist()):
-                place = (n % _COLUMNS, n // _COLUMNS)
-                corner = (_GAP + place[0] * (WIDTH + _GAP), _GAP + place[1] * (HEIGHT + _GAP))
-                sheet.paste(paint(i), corner)
-                report(n + 1, len(moments))
+        with shown(out.name, "pictures") as report:
+            done, total = 0, sum(map(len, moments))
+            for (title, tape), of_one, first in zip(tapes, moments, firsts, strict=True):
+                with painter(tape, title) as paint:
+                    for n, i in enumerate(of_one.tolist()):
+                        column, row = n % _COLUMNS, first + n // _COLUMNS
+                        corner = (_GAP + column * (WIDTH + _GAP), _GAP + row * (HEIGHT + _GAP))
+                        sheet.paste(paint(i), corner)
+                        done += 1
+                        report(done, total)
         half = (size[0] // 2, size[1] // 2)
         sheet.resize(half, Image.Resampling.LANCZOS).save(path, "png")
     print(out)

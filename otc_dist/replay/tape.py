@@ -64,6 +64,11 @@ class Tape:
         """The agents that are shown."""
         return tuple(self.header.team.agents[place] for place in self.places)
 
+    @property
+    def choice_names(self) -> tuple[str, ...]:
+        """What discrete actions are called, by their index; empty where nothing tells."""
+        return self.scene.choices if self.scene is not None else ()
+
     def episode(self, i: int) -> str:
         """Which episode step i of the tape belongs to: `copy 0, its 2nd episode`."""
         number = int(self.ordinals[i])

@@ -1,4 +1,4 @@
-"""`--video OUT.mp4`: a deployment as a film, at the task's own pace."""
+"""`--video OUT.mp4`: a deployment's best and worst episode as a film, at the task's own pace."""
 
 import argparse
 from fractions import Fraction
@@ -9,33 +9,39 @@ import numpy as np
 from otc_dist.errors import UserError
 from otc_dist.progress import shown
 from otc_dist.replay.output import claimed
-from otc_dist.replay.tape import selected_tape
+from otc_dist.replay.tape import highlights
 
 _RATE = 30  # frames a second, at most about
 _QUALITY = "20"  # x264's constant rate factor: smaller is better
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Write the film of the selected steps and say where it is."""
+    """Write the film of the best and then the worst episode, or of the selected steps."""
     try:
         import av
 
         from otc_dist.replay.painter import HEIGHT, WIDTH, painter
     except ModuleNotFoundError as error:
         raise missing(error) from None
-    out, tape = Path(arguments.video), selected_tape(arguments)
-    with claimed(out, force=arguments.force) as path, painter(tape) as paint:
-        seconds = Fraction(tape.scene.seconds if tape.scene else 1).limit_denominator(10_000)
+    out, tapes = Path(arguments.video), highlights(arguments)
+    scene = tapes[0][1].scene
+    with claimed(out, force=arguments.force) as path:
+        seconds = Fraction(scene.seconds if scene else 1).limit_denominator(10_000)
         every = max(1, round(1 / (_RATE * seconds)))  # steps a frame
-        frames = range(0, len(tape), every)
+        total = sum(len(range(0, len(tape), every)) for _, tape in tapes)
         with av.open(path, "w", format="mp4") as film, shown(out.name, "frames") as report:
             stream = film.add_stream("libx264", rate=1 / (every * seconds))
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
             stream.options = {"crf": _QUALITY, "preset": "veryfast"}
-            for done, i in enumerate(frames, start=1):
-                frame = av.VideoFrame.from_ndarray(np.asarray(paint(i)), format="rgb24")
-                film.mux(stream.encode(frame))
-                report(done, len(frames))
+            done = 0
+            for title, tape in tapes:
+                with painter(tape, title) as paint:
+                    for i in range(0, len(tape), every):
+                        picture = np.asarray(paint(i))
+                        frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+                        film.mux(stream.encode(frame))
+                        done += 1
+                        report(done, total)
             film.mux(stream.encode())
     print(out)
     return 0

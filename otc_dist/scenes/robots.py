@@ -1,5 +1,7 @@
 """How a robot looks: the capsules of its MuJoCo model, where its joints put them."""
 
+import math
+
 import mujoco
 import numpy as np
 
@@ -36,6 +38,17 @@ class RobotScene:
         self.view = View((0.4, 0.8), 3.6, 2.2, follows=0)
         self.choices = ()
         self.seconds = float(model.opt.timestep) * robot.frame_skip
+
+    @property
+    def top(self) -> float:
+        """How high the robot reaches where an episode begins, m."""
+        poses = self.frames(np.hstack(([0.0], self.model.qpos0))[None]).poses[0]
+        return max(
+            float(v + math.sin(angle) * a + math.cos(angle) * b + capsule.radius)
+            for body, (_, v, angle) in zip(self.bodies, poses, strict=True)
+            for capsule in body.capsules
+            for a, b in (capsule.start, capsule.end)
+        )
 
     def frames(self, states: Float64) -> Frames:
         """See `Scene.frames`; a state is the elapsed steps, qpos, qvel and the warm start."""

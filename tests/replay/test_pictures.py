@@ -1,5 +1,6 @@
 """Films and sheets: what is to be seen on them, and what is said where there are none."""
 
+import argparse
 import subprocess
 import sys
 from collections.abc import Callable
@@ -10,9 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from otc_dist.deployment_log.reader import read_summary
 from otc_dist.errors import UserError
 from otc_dist.replay import offscreen
+from otc_dist.replay.offscreen import Offscreen
 from otc_dist.replay.painter import HEIGHT, WIDTH
+from otc_dist.replay.tape import highlights
+from otc_dist.scenes.robots import RobotScene
 from otc_dist.scenes.scene import AGENT_COLOURS, FOE
 from otc_dist.transitions import JointStep
 
@@ -45,7 +50,7 @@ def place_of(picture: np.ndarray, colour: tuple[int, int, int], within: int) -> 
 def test_a_film_shows_each_step_of_a_slow_task(chase, tmp_path: Path, replay: Replay) -> None:
     path, steps = chase
     out = tmp_path / "out.mp4"
-    assert replay(path, "--video", out) == (0, f"{out}\n")
+    assert replay(path, "--video", out, "--steps", "0:30") == (0, f"{out}\n")
     frames, rate = frames_of(out)
     assert rate == 10 and len(frames) == 30 and frames[0].shape == (HEIGHT, WIDTH, 3)
     scale = HEIGHT / 2.2
@@ -68,7 +73,7 @@ def test_the_same_log_gives_the_same_pictures(chase, tmp_path: Path, replay: Rep
 
 def test_a_sheet_shows_twelve_moments(chase, tmp_path: Path, replay: Replay) -> None:
     path, _ = chase
-    assert replay(path, "--sheet", tmp_path / "all.png")[0] == 0
+    assert replay(path, "--sheet", tmp_path / "all.png", "--steps", "0:30")[0] == 0
     sheet = np.asarray(Image.open(tmp_path / "all.png"))
     assert sheet.shape[:2] == ((4 * (HEIGHT + 8) + 8) // 2, (3 * (WIDTH + 8) + 8) // 2)
     corner = sheet[4 : 4 + HEIGHT // 2, 4 : 4 + WIDTH // 2]
@@ -76,6 +81,55 @@ def test_a_sheet_shows_twelve_moments(chase, tmp_path: Path, replay: Replay) -> 
     assert (np.abs(corner.astype(int) - last) > 60).sum() > 200
     replay(path, "--sheet", tmp_path / "few.png", "--steps", "0:2")
     assert Image.open(tmp_path / "few.png").size == (sheet.shape[1], (HEIGHT + 16) // 2)
+
+
+def test_a_film_and_a_sheet_show_the_best_and_the_worst_episode(
+    tmp_path: Path, replay: Replay
+) -> None:
+    path, out = tmp_path / "log.mcap", tmp_path / "out.png"
+    play("5m_vs_6m", path, 60)
+    episodes = read_summary(path).episodes
+    whole = [one for one in episodes if one.terminated or one.truncated]
+    returns = [float(np.mean(one.returns)) for one in whole]
+    assert len(whole) >= 3 and len(episodes) > len(whole)
+    (best, first), (worst, second) = highlights(argparse.Namespace(
+        files=[path], steps=None, episode=None, agent=None))  # fmt: skip
+    assert (best, worst) == (f"best of {len(whole)} episodes", f"worst of {len(whole)} episodes")
+    assert first.returns[-1].mean() == pytest.approx(max(returns), abs=1e-4)
+    assert second.returns[-1].mean() == pytest.approx(min(returns), abs=1e-4)
+    for tape in (first, second):
+        assert tape.ended[-1] and not tape.ended[:-1].any()
+    assert replay(path, "--sheet", out)[0] == 0
+    assert replay(path, "--video", tmp_path / "out.mp4")[0] == 0
+    assert len(frames_of(tmp_path / "out.mp4")[0]) == len(first) + len(second)
+    # The sheet's upper half is the best, its lower half the worst.
+    sheet = np.asarray(Image.open(out).convert("RGB")).astype(int)
+    half = 2 * (HEIGHT + 8) // 2
+    for tape, top in ((first, 4), (second, 4 + half)):
+        replay(path, "--sheet", tmp_path / "one.png", "--force", "--episode", tape.episodes[0])
+        alone = np.asarray(Image.open(tmp_path / "one.png").convert("RGB"))
+        place = slice(4, 4 + HEIGHT // 2), slice(4, 4 + PICTURE // 2)  # the first moment's
+        found = sheet[top : top + HEIGHT // 2, place[1]]
+        assert (np.abs(found - alone[place]) > 60).sum() == 0
+
+
+def test_a_robot_fills_the_picture(tmp_path: Path) -> None:
+    """Of a hopper that stands, from its foot to its top."""
+    scene = RobotScene("hopper-3x1")
+    assert 1.2 < scene.top < 1.7
+    try:
+        with Offscreen(scene.model, 800, HEIGHT, 1.3 * scene.top) as view:
+            far, near = scene.model.qpos0.copy(), scene.model.qpos0.copy()
+            far[0] = 50.0  # it is followed
+            pictures = [view.render(positions).astype(int) for positions in (near, far)]
+    except UserError as error:
+        pytest.skip(str(error))
+    for picture in pictures:
+        # The models' links are of no colour that the ground or the sky has.
+        red = picture[:, :, 0] - picture[:, :, 2] > 40
+        rows = np.flatnonzero(red.any(axis=1))
+        assert rows[-1] - rows[0] > 0.6 * HEIGHT
+        assert np.argwhere(red)[:, 1].mean() == pytest.approx(400, abs=40)
 
 
 def test_many_agents_and_a_skirmish(tmp_path: Path, replay: Replay) -> None:
@@ -144,7 +198,7 @@ def test_a_robot_is_rendered_in_its_agents_colours(
 ) -> None:
     out = tmp_path / "out.mp4"
     try:
-        replay(hops, "--video", out)
+        replay(hops, "--video", out, "--steps", "0:40")
     except UserError as error:
         pytest.skip(str(error))
     frames, rate = frames_of(out)
