@@ -106,6 +106,8 @@ def _compare(
     def finished(job: Job) -> None:
         """Show the result so far whenever one more seed is complete for all arms."""
         nonlocal complete
+        if job is jobs[0]:  # the data have been made
+            comparison_jobs.note_inputs(folder, base)
         if len(_complete(folder, arms, seeds)) > complete:
             complete += 1
             _conclude(folder, base, arms, seeds, quick, results)

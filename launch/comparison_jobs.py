@@ -4,8 +4,9 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from otc_dist import inputs, records
 from otc_dist.comparison.arms import ANALYSES, Arms, describe, offline_files
-from otc_dist.comparison.scores import OFFLINE, ComparisonFolder
+from otc_dist.comparison.scores import OFFLINE, ComparisonFolder, write_json
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
@@ -24,7 +25,7 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
     """The folder, held against other launchers, with `base` as its description.
 
     Raises:
-        UserError: it is held, cannot be written, or is of another description.
+        UserError: it is held, cannot be written, or is of another description or other data.
     """
     try:
         folder.root.mkdir(parents=True, exist_ok=True)
@@ -37,7 +38,24 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
             raise UserError(f"{folder.root} holds something else; use another --out")
         else:
             folder.description.write_text(base.to_toml(), encoding="utf-8")
+        note_inputs(folder, base)
         yield
+
+
+def note_inputs(folder: ComparisonFolder, base: Description) -> None:
+    """Note what all arms read, as far as it is there, once; later it must be the same.
+
+    Raises:
+        UserError: it is not, or cannot be noted.
+    """
+    noted = records.read_json(dict[str, str], folder.inputs) if folder.inputs.exists() else {}
+    found, agents = inputs.sources(base), registry.team_spec(base.env.id).names
+    name, transitions = base.dataset.name, base.dataset.transitions
+    if all(store.agent_file(name, agent, transitions).exists() for agent in agents):
+        found |= inputs.data(base, agents)
+    inputs.check(noted, found, base)
+    if (now := {**found, **noted}) != noted:
+        write_json(folder.inputs, now)
 
 
 def _same(found: Description, wanted: Description, folder: ComparisonFolder) -> None:

@@ -105,6 +105,7 @@ class ComparisonFolder:
     """Paths of a comparison's files.
 
     description.toml          the resolved description that all arms share
+    inputs.json               digests of the data, and of a user's own sources, that all arms share
     seeds/seed_00/agents/     offline checkpoints of a seed, one folder an agent
     seeds/seed_00/pi_0.json   greedy returns of its offline policies, shared by all arms
     seeds/seed_00/own/DIGEST/ the same of arms that train another pi_0, by its digest
@@ -119,6 +120,10 @@ class ComparisonFolder:
     @property
     def description(self) -> Path:
         return self.root / "description.toml"
+
+    @property
+    def inputs(self) -> Path:
+        return self.root / "inputs.json"
 
     @property
     def results(self) -> Path:

@@ -10,9 +10,10 @@ from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison import collected
 from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.errors import UserError
-from otc_dist.launch import compare, comparison_jobs, mechanism
+from otc_dist.launch import compare, comparison_jobs, descriptions, mechanism
 from otc_dist.processor import processor
 
 
@@ -50,6 +51,28 @@ def test_a_folder_of_another_description_is_refused(base: Description, tmp_path:
     with (
         pytest.raises(UserError, match="holds something else"),
         comparison_jobs.opened(ComparisonFolder(tmp_path), base),
+    ):
+        pass
+
+
+def test_a_comparison_does_not_go_on_with_other_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
+    base = descriptions.load(
+        "3agent_hopper", ["dataset.name=random", "dataset.transitions=60"], None, quick=True
+    )
+    folder = ComparisonFolder(tmp_path / "compared")
+    with comparison_jobs.opened(folder, base):
+        store.ensure(base.dataset.name, 60)
+        comparison_jobs.note_inputs(folder, base)  # as when the data have been made
+    with comparison_jobs.opened(folder, base):
+        pass
+    with store.agent_file(base.dataset.name, "agent_1", 60).open("ab") as file:
+        file.write(b"other")
+    with (
+        pytest.raises(UserError, match=r"the data of agent_1 .* are others"),
+        comparison_jobs.opened(folder, base),
     ):
         pass
 
