@@ -86,7 +86,8 @@ def test_the_time_to_go_follows_what_the_machine_does() -> None:
 
 def test_nothing_is_estimated_while_somebody_is_awaited() -> None:
     """Else the whole offline training would count as done, and the rest as slow without end."""
-    seen = board()
+    judged = [RUN[0], Part("evaluation", 0, 0.0), *RUN[1:]]
+    seen = Board(("agent_0", "agent_1"), Remaining(judged))
     for phase in ("waiting", "starting"):
         for clock, agent in enumerate(("agent_0", "agent_1")):
             seen.take(status("host", "gathering"), clock=float(clock))

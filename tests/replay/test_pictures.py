@@ -4,6 +4,7 @@ import argparse
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -14,8 +15,7 @@ from PIL import Image
 from otc_dist.deployment_log.reader import read_summary
 from otc_dist.errors import UserError
 from otc_dist.replay import offscreen
-from otc_dist.replay.offscreen import Offscreen
-from otc_dist.replay.painter import HEIGHT, WIDTH
+from otc_dist.replay.painter import HEIGHT, WIDTH, painter
 from otc_dist.replay.tape import highlights
 from otc_dist.scenes.robots import RobotScene
 from otc_dist.scenes.scene import AGENT_COLOURS, FOE
@@ -113,25 +113,6 @@ def test_a_film_and_a_sheet_show_the_best_and_the_worst_episode(
         assert (np.abs(found - alone[place]) > 60).sum() == 0
 
 
-def test_a_robot_fills_the_picture(tmp_path: Path) -> None:
-    """Of a hopper that stands, from its foot to its top."""
-    scene = RobotScene("hopper-3x1")
-    assert 1.2 < scene.top < 1.7
-    try:
-        with Offscreen(scene.model, 800, HEIGHT, 1.3 * scene.top) as view:
-            far, near = scene.model.qpos0.copy(), scene.model.qpos0.copy()
-            far[0] = 50.0  # it is followed
-            pictures = [view.render(positions).astype(int) for positions in (near, far)]
-    except UserError as error:
-        pytest.skip(str(error))
-    for picture in pictures:
-        # The models' links are of no colour that the ground or the sky has.
-        red = picture[:, :, 0] - picture[:, :, 2] > 40
-        rows = np.flatnonzero(red.any(axis=1))
-        assert rows[-1] - rows[0] > 0.6 * HEIGHT
-        assert np.argwhere(red)[:, 1].mean() == pytest.approx(400, abs=40)
-
-
 def test_many_agents_and_a_skirmish(tmp_path: Path, replay: Replay) -> None:
     for env_id in ("5m_vs_6m", "cooperative-navigation-12"):
         path = tmp_path / f"{env_id}.mcap"
@@ -211,3 +192,26 @@ def test_a_robot_is_rendered_in_its_agents_colours(
     heights = [np.argwhere(link)[:, 0].mean() for link in (blue, orange, green)]
     assert heights == sorted(heights)  # thigh, leg, foot: it stands
     assert all(link.sum() > 200 for link in (blue, orange, green))
+
+
+@pytest.mark.slow
+def test_a_robot_fills_the_picture_and_is_followed(hops: Path) -> None:
+    scene = RobotScene("hopper-3x1")
+    assert 1.2 < scene.top < 1.7  # m
+    ((_, tape),) = highlights(
+        argparse.Namespace(files=[hops], steps=(0, 1), episode=None, agent=None)
+    )
+    moved = replace(tape, states=tape.states + np.eye(1, tape.states.shape[1], 1) * 50.0)  # along x
+    try:
+        pictures = []
+        for one in (tape, moved):
+            with painter(one, "") as paint:
+                pictures.append(np.asarray(paint(0))[:, :PICTURE].astype(int))
+    except UserError as error:
+        pytest.skip(str(error))
+    for picture in pictures:
+        blue = picture[..., 2] - picture[..., 0] > 60  # the thigh
+        green = (picture[..., 1] - picture[..., 0] > 60) & (picture[..., 1] > picture[..., 2])
+        high, low = np.flatnonzero(blue.any(axis=1))[0], np.flatnonzero(green.any(axis=1))[-1]
+        assert low - high > 0.47 * HEIGHT  # from its upper end to the ground
+        assert np.argwhere(blue)[:, 1].mean() == pytest.approx(PICTURE / 2, abs=40)
