@@ -1,7 +1,6 @@
 """`launch compare NAME`: tune several arms from the same offline policies, and compare them."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -116,8 +115,7 @@ def _compare(
     try:
         run_jobs(jobs, cores(), finished)
     except FailedError as failed:
-        print(f"error: {failed}", file=sys.stderr)
-        status = failed.status
+        status = comparison_jobs.failure(failed, folder)
     except StoppedError as stopped:
         print(f"stopped by {stopped}; the same command goes on")
         status = stopped.status

@@ -14,7 +14,9 @@ from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
 from . import forecast, run_record
-from .jobs import Job
+from .crew import MISTAKE
+from .jobs import FailedError, Job
+from .new_folder import take_away
 
 ANALYSIS = 20.0  # seconds that an analysis takes a deployment
 MODULE = (sys.executable, "-m")
@@ -23,6 +25,8 @@ MODULE = (sys.executable, "-m")
 @contextmanager
 def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
     """The folder, held against other launchers, with `base` as its description.
+
+    If what is done in it is refused before any job is done, it is taken away again.
 
     Raises:
         UserError: it is held, cannot be written, or is of another description or other data.
@@ -38,8 +42,23 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
             raise UserError(f"{folder.root} holds something else; use another --out")
         else:
             folder.description.write_text(base.to_toml(), encoding="utf-8")
-        note_inputs(folder, base)
-        yield
+        try:
+            note_inputs(folder, base)
+            yield
+        except UserError:
+            take_away(folder.root)
+            raise
+
+
+def failure(failed: FailedError, folder: ComparisonFolder) -> int:
+    """Say what failed; returns the exit status.
+
+    Where it is a mistake, and no job was done before, the folder is taken away again.
+    """
+    print(f"error: {failed}", file=sys.stderr)
+    if failed.status == MISTAKE:
+        take_away(folder.root)
+    return failed.status
 
 
 def note_inputs(folder: ComparisonFolder, base: Description) -> None:

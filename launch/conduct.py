@@ -24,6 +24,7 @@ from .crew import MISTAKE, Crew, DiedError
 from .forecast import Remaining
 from .keep import check_rewards
 from .ledger import Ledger
+from .new_folder import take_away
 from .observer import Sign, Waiting, nobody_of_run, observing
 from .plan import Plan
 from .products import damaged_checkpoints
@@ -77,7 +78,8 @@ def conduct(plan: Plan, record: RunRecord) -> int:
             print(f"stopped by {signals.stop.name}; {go_on}")
             return 128 + signals.stop
         except UserError:
-            ledger.enter("failed")
+            if not _gone(plan, record):
+                ledger.enter("failed")
             raise
         except BrokenPipeError:  # of standard output, not of the run
             raise
@@ -86,12 +88,22 @@ def conduct(plan: Plan, record: RunRecord) -> int:
                 ledger.enter("failed")
             raise UserError(f"{told(error)}; {go_on}") from None
         except DiedError as died:
-            ledger.enter("failed")
             if not died.told:
                 _explain(died)
-            print(go_on)
-            return MISTAKE if died.end.status == MISTAKE else 1
+            mistake = died.end.status == MISTAKE
+            if not (mistake and _gone(plan, record)):
+                ledger.enter("failed")
+                print(go_on)
+            return MISTAKE if mistake else 1
     return 0
+
+
+def _gone(plan: Plan, record: RunRecord) -> bool:
+    """Take away the folder of a run that met a mistake, if it is new and nothing in it took work.
+
+    Returns whether it is gone; if not, the run can be gone on with.
+    """
+    return not record.resumed and take_away(plan.folder.root, origin=record.origin is not None)
 
 
 def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, title: str) -> None:

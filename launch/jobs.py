@@ -37,8 +37,10 @@ class FailedError(Exception):
     def __init__(self, job: Job, end: End) -> None:
         lines = end.last_lines()
         last = lines[-1].removeprefix("error: ") if lines else "it printed nothing"
-        manner = "" if end.status == 2 else f"{end.manner}: "
-        super().__init__(f"{job.name}: {manner}{last} ({end.output})")
+        if end.status == 2:  # a mistake, and the line says which
+            super().__init__(f"{job.name}: {last}")
+        else:
+            super().__init__(f"{job.name}: {end.manner}: {last} ({end.output})")
         self.status = 2 if end.status == 2 else 1
 
 

@@ -1,7 +1,6 @@
 """`launch mechanism NAME`: do the transitions that OTC selects follow the online dynamics?"""
 
 import argparse
-import sys
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -64,8 +63,7 @@ def main(argv: list[str]) -> int:
         try:
             run_jobs(jobs, cores(), lambda job: None)
         except FailedError as failed:
-            print(f"error: {failed}", file=sys.stderr)
-            return failed.status
+            return comparison_jobs.failure(failed, folder)
         except StoppedError as stopped:
             print(f"stopped by {stopped}; the same command goes on")
             return stopped.status

@@ -15,7 +15,7 @@ from otc_dist.parser import Parser
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
-from . import descriptions, hosts, plan, run_record
+from . import descriptions, hosts, new_folder, plan, preflight, run_record
 from .conduct import conduct
 from .extend import extend
 from .origin import Origin
@@ -104,22 +104,26 @@ def _start(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         if quick:
             print(descriptions.QUICK_LABEL)
-        print("\n".join(planned.lines()))
+        print("\n".join(planned.lines()), flush=True)
+        preflight.check(planned, out)
         return 0
     if place.insecure:
         print(INSECURE, file=sys.stderr)
-    place.knock()
-    if place.role != "all" and planned.folder.run_json.exists():
+    preflight.check(planned, out)
+    if preflight.goes_on(planned):
         with run_record.locked(planned.folder):
             record = run_record.rejoin(planned.folder, description, place)
             return conduct(plan.make(description, planned.folder, record.run, place), record)
-    folder = run_record.make_folder(out, planned.disk_bytes)
+    folder = new_folder.make_folder(out, planned.disk_bytes)
     with run_record.locked(folder):
-        if origin:
-            origin.write(folder, description)
-        record = run_record.create(
-            folder, description, quick, place, origin.root if origin else None
-        )
+        try:
+            if origin:
+                origin.write(folder, description)
+            begun = origin.root if origin else None
+            record = run_record.create(folder, description, quick, place, begun)
+        except (UserError, OSError):
+            new_folder.take_away(folder.root, origin=True)
+            raise
         return conduct(plan.make(description, folder, record.run, place), record)
 
 

@@ -26,7 +26,7 @@ from .place import Place
 # "reporting": all is done but the report. "finished" is the last thing that is written.
 State = Literal["running", "stopped", "failed", "reporting", "finished"]
 # What can change a run's bits. A run goes on only with the versions that it began with.
-_LOCK = ".lock"  # held by the launcher that is at work, the first file of a run folder
+LOCK = ".lock"  # held by the launcher that is at work, the first file of a run folder
 _ODD = r"[^A-Za-z0-9_.-]"  # what may not stand in the bus's keys
 _LISTS = ("resumed", "extended", "processors", "libraries")  # fields of run.json
 PACKAGES = ("torch", "mujoco", "numpy", "scipy", "eclipse-zenoh", "mcap")
@@ -132,6 +132,16 @@ def _own_name(folder: RunFolder, started: str) -> str:
     return f"{re.sub(_ODD, '_', folder.root.name)}-{digest}"
 
 
+def _begun(folder: RunFolder) -> tuple[RunRecord, Description]:
+    """The record and description of a run. Raises UserError if that is not what it began with."""
+    record = RunRecord.read(folder)
+    description = Description.load(folder.description)
+    user_code.allow(*description.code)
+    if description.digest() != record.description:
+        raise changed(folder)
+    return record, description
+
+
 def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
     """The record and description of a run to go on with, marked as running again.
 
@@ -141,11 +151,7 @@ def reopen(folder: RunFolder) -> tuple[RunRecord, Description]:
     Raises:
         UserError: no run folder; finished already; another description or other versions now.
     """
-    record = RunRecord.read(folder)
-    description = Description.load(folder.description)
-    user_code.allow(*description.code)
-    if description.digest() != record.description:
-        raise changed(folder)
+    record, description = _begun(folder)
     state: State = "running"
     if record.state in ("reporting", "finished"):
         state = _after_the_end(folder, description, record)
@@ -201,16 +207,27 @@ def check_versions(record: RunRecord, folder: RunFolder) -> None:
             )
 
 
-def rejoin(folder: RunFolder, description: Description, place: Place) -> RunRecord:
-    """The record of this part of a run to go on with, whose endpoints may have changed.
+def check_part(folder: RunFolder, description: Description, place: Place) -> None:
+    """See that a folder is of this part of a run on several hosts, and can be gone on with.
 
     Raises:
-        UserError: as `reopen`, or the folder is of another description or of another part.
+        UserError: it is of another description or of another part, or other versions now.
     """
     before = RunRecord.read(folder)
     part = (before.description, before.place.role, before.place.agent)
     if part != (description.digest(), place.role, place.agent):
         raise UserError(f"{folder.root} is of another run, or of another part; use another --out")
+    record, _ = _begun(folder)
+    check_versions(record, folder)
+
+
+def rejoin(folder: RunFolder, description: Description, place: Place) -> RunRecord:
+    """The record of this part of a run to go on with, whose endpoints may have changed.
+
+    Raises:
+        UserError: as `check_part` and `reopen`.
+    """
+    check_part(folder, description, place)
     record, _ = reopen(folder)
     return replace(record, place=place).moved_to(record.state, folder)
 
@@ -222,7 +239,7 @@ def locked(folder: RunFolder) -> Iterator[None]:
     Raises:
         UserError: another launcher holds it.
     """
-    path = folder.root / _LOCK
+    path = folder.root / LOCK
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         if not locks.take(descriptor, path):
@@ -235,7 +252,7 @@ def locked(folder: RunFolder) -> Iterator[None]:
 def launched(folder: RunFolder) -> bool | None:
     """Whether a launcher is at work there, without writing anything; None: no lock tells."""
     try:
-        descriptor = os.open(folder.root / _LOCK, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(folder.root / LOCK, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:
         return False
     except OSError:  # of somebody else, who lets us read the rest
@@ -244,41 +261,3 @@ def launched(folder: RunFolder) -> bool | None:
         return locks.held(descriptor)
     finally:
         os.close(descriptor)
-
-
-def make_folder(out: Path, needed: int) -> RunFolder:
-    """Make a new run's folder, with room for `needed` bytes.
-
-    Raises:
-        UserError: it exists and is not empty, cannot be written, or the disk is too full.
-    """
-    folder = RunFolder(out.resolve())
-    try:
-        if folder.root.exists() and not _free(folder):
-            hint = f"--resume {out}, or " if folder.run_json.exists() else ""
-            raise UserError(f"{out} exists already; use {hint}another --out")
-        folder.root.mkdir(parents=True, exist_ok=True)
-        room = os.statvfs(folder.root)
-        if not os.access(folder.root, os.W_OK):
-            raise UserError(f"cannot write to {out}: permission denied")
-    except OSError as error:
-        raise UserError(f"cannot make the run folder {out}: {error.strerror}") from None
-    free = room.f_bavail * room.f_frsize
-    if free < needed:
-        raise UserError(
-            f"no disk space at {out}: about {_megabytes(needed)} are needed,"
-            f" {_megabytes(free)} are free"
-        )
-    return folder
-
-
-def _free(folder: RunFolder) -> bool:
-    """Whether nothing is in it but what a launcher leaves that was killed as it began."""
-    begun = {folder.description.name, f"{folder.description.name}.partial"}
-    begun |= {f"{folder.run_json.name}.partial", _LOCK}
-    found = {path.name for path in folder.root.iterdir()}
-    return not found or (_LOCK in found and found <= begun)
-
-
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:,.0f} MB"

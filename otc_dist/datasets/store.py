@@ -20,6 +20,7 @@ from otc_dist.datasets.agent_files import load_agent, load_tensors
 from otc_dist.datasets.card import DatasetCard, episode_returns, team_rewards
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.names import DatasetName
+from otc_dist.datasets.source import Source
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
@@ -63,21 +64,11 @@ def ensure(
             write.
     """
     parsed = DatasetName.parse(name)
-    everybody = registry.team_spec(parsed.env_id).names
-    for agent in agents:
-        if agent not in everybody:
-            raise unknown("agent", agent, everybody)
-    wanted = set(agents or everybody)
-    folder = parsed.set_folder(transitions)
+    wanted, folder = _wanted(parsed, agents), parsed.set_folder(transitions)
     source = parsed.source
     if source is None:
         return _imported(folder, wanted)
-    recipe = {  # all that determines the rows
-        "level": parsed.level,
-        "seed": str(_SEED),
-        "otc_dist": otc_dist.__version__,
-        **source.recipe(parsed.env_id, parsed.level),
-    }
+    recipe = _recipe(parsed, source)
     card, _ = _inspect(folder, recipe)
     if card is not None and wanted <= set(card.files):
         return card
@@ -101,6 +92,44 @@ def ensure(
             registry.remarks(parsed.env_id),
         )
         return publish(parsed, made, provenance, sorted(wanted))
+
+
+def check(name: str, transitions: int, agents: Sequence[str] = ()) -> bool:
+    """Whether the data set is there, for these agents; False if it can be made. Nothing is made.
+
+    Raises:
+        UserError: as `ensure`, and what a learner would refuse of an imported set.
+    """
+    parsed = DatasetName.parse(name)
+    wanted, folder = _wanted(parsed, agents), parsed.set_folder(transitions)
+    source = parsed.source
+    if source is None:
+        _imported(folder, wanted)
+        for agent in sorted(wanted):
+            load_agent(folder / f"{agent}.safetensors", agent)
+        return True
+    generate.parts(parsed.env_id, parsed.level, int(folder.name))
+    card, _ = _inspect(folder, _recipe(parsed, source))
+    return card is not None and wanted <= set(card.files)
+
+
+def _wanted(name: DatasetName, agents: Sequence[str]) -> set[str]:
+    """Whose files are needed. Raises UserError for an unknown agent."""
+    everybody = registry.team_spec(name.env_id).names
+    for agent in agents:
+        if agent not in everybody:
+            raise unknown("agent", agent, everybody)
+    return set(agents or everybody)
+
+
+def _recipe(name: DatasetName, source: Source) -> dict[str, str]:
+    """All that determines the rows of a set that we make."""
+    return {
+        "level": name.level,
+        "seed": str(_SEED),
+        "otc_dist": otc_dist.__version__,
+        **source.recipe(name.env_id, name.level),
+    }
 
 
 def _returns(name: DatasetName, made: JointTransitions) -> tuple[Float64, int]:

@@ -97,13 +97,13 @@ def test_data_are_made_again_when_any_of_the_sources_has_changed(folder: Path) -
 BEGIN = """
 from pathlib import Path
 from otc_dist import inputs
-from otc_dist.launch import descriptions, resolve, run_record
+from otc_dist.launch import descriptions, new_folder, resolve, run_record
 from otc_dist.launch.ledger import Ledger
 from otc_dist.launch.place import Place
 small = ("env.id=pkg:parallel_env", "dataset.name=random", "dataset.transitions=100",
          "algorithm.name=td3bc", "engine.name=eager")
 description = resolve.resolve(descriptions.load("navigation", small, None, quick=False))
-folder = run_record.make_folder(Path("run"), needed=0)
+folder = new_folder.make_folder(Path("run"), needed=0)
 record = run_record.create(folder, description, quick=False, place=Place())
 Ledger(record, folder).note_inputs(inputs.sources(description), description)
 """

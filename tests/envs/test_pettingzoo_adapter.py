@@ -280,7 +280,8 @@ def test_a_mistake_in_it_is_the_launcher_s_only_complaint(
         "error: my_module:parallel_env: step raised AttributeError: 'Toy' object has no attribute"
         f" 'nothing' ({tmp_path / 'my_module.py'}:{STEP + 1})"
     ]
-    assert "resume with" in ended.stdout
+    assert "resume with" not in ended.stdout
+    assert not (tmp_path / "run").exists()  # mended, it can be given the same name
 
 
 @pytest.mark.slow

@@ -5,18 +5,23 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.datasets import store
+from otc_dist.datasets.importers import import_files
 from otc_dist.description import Description
 from otc_dist.errors import UserError, run_main
-from otc_dist.launch import descriptions, run_record
+from otc_dist.launch import comparison_jobs, descriptions, new_folder, run_record
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.place import Place
 from otc_dist.launch.resolve import resolve
 from otc_dist.processor import kind
 from otc_dist.run_folder import RunFolder
+from tests.replay.played import play
 
 SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
 
@@ -104,17 +109,17 @@ def test_the_process_exits_with_2_and_no_traceback(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("out", "says"),
-    [("file/run", "Not a directory"), ("file", "Not a directory"), ("/proc/run", "cannot make")],
+    [("file/run", "file is no folder"), ("file", "Not a directory"), ("/proc/run", "cannot make")],
 )
 def test_a_folder_that_cannot_be_made(out: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match=says):
-        run_record.make_folder(tmp_path / out, needed=0)
+        new_folder.make_folder(tmp_path / out, needed=0)
 
 
 def test_a_full_disk_is_noticed_before_the_start(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no disk space"):
-        run_record.make_folder(tmp_path / "run", needed=2**62)
+        new_folder.make_folder(tmp_path / "run", needed=2**62)
 
 
 def _tiny() -> Description:
@@ -124,14 +129,94 @@ def _tiny() -> Description:
 @pytest.fixture
 def run(tmp_path: Path) -> RunFolder:
     """A run that was begun and not finished."""
-    folder = run_record.make_folder(tmp_path / "run", needed=0)
+    folder = new_folder.make_folder(tmp_path / "run", needed=0)
     run_record.create(folder, resolve(_tiny()), quick=False, place=Place())
     return folder
 
 
-def test_an_existing_run_is_not_overwritten(run: RunFolder) -> None:
+@pytest.mark.parametrize("dry", [[], ["--dry-run"]])
+def test_an_existing_run_is_not_overwritten(run: RunFolder, dry: list[str]) -> None:
     with pytest.raises(UserError, match=r"exists already; use --resume .*, or another --out"):
-        main(["3agent_hopper", *SHORT, "--out", str(run.root)])
+        main(["3agent_hopper", *SHORT, "--out", str(run.root), *dry])
+
+
+def _too_few(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    return ["3agent_hopper", *SHORT, "--set", "dataset.transitions=2"]
+
+
+def _damaged(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    log = Path("a.mcap")
+    play("hopper-3x1", log, 20, run="mine")
+    card = import_files([log])
+    path = store.agent_file(card.name, "agent_1")
+    path.write_bytes(path.read_bytes()[:-1] + b"x")
+    log.unlink()
+    return ["3agent_hopper", "--set", f"dataset.name={card.name}", *SHORT[2:]]
+
+
+def _full(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    full = os.statvfs_result((4096, 4096, 10, 0, 0, 0, 0, 0, 0, 255))
+    monkeypatch.setattr("os.statvfs", lambda path: full)
+    return ["3agent_hopper", *SHORT]
+
+
+def _no_right(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    return ["3agent_hopper", *SHORT]
+
+
+@pytest.mark.parametrize("dry", [[], ["--dry-run"]])
+@pytest.mark.parametrize(
+    ("case", "said"),
+    [
+        (_too_few, "medium-replay data need at least"),
+        (_damaged, "agent_1.safetensors does not match its sha256"),
+        (_full, "no disk space at runs/3agent_hopper-seed0"),
+        (_no_right, "permission denied"),
+    ],
+)
+def test_a_dry_run_checks_what_a_start_checks_and_neither_leaves_anything(
+    case: Callable[[pytest.MonkeyPatch], list[str]],
+    said: str,
+    dry: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    words = case(monkeypatch)
+    with pytest.raises(UserError) as raised:
+        main([*words, *dry])
+    assert said in str(raised.value)
+    assert list(Path().iterdir()) == []
+
+
+def test_what_took_work_is_never_taken_away(run: RunFolder) -> None:
+    run.output("data").parent.mkdir()
+    run.output("data").write_text("error: a mistake\n")
+    for made in (run.checkpoint("agent_0", 0), run.deployment(1), run.evaluation(0)):
+        made.parent.mkdir(parents=True)
+        made.touch()
+        assert not new_folder.take_away(run.root)
+        made.unlink()
+    run.checkpoint("agent_0", 0).touch()
+    assert new_folder.take_away(run.root, origin=True)  # its pi_0 is another run's
+    assert not run.root.exists()
+
+
+def test_a_comparison_that_is_refused_before_any_job_is_done_leaves_its_name_free(
+    tmp_path: Path,
+) -> None:
+    folder, base = ComparisonFolder(tmp_path / "compared"), resolve(_tiny())
+    with pytest.raises(UserError, match="no"), comparison_jobs.opened(folder, base):
+        raise UserError("no")
+    assert not folder.root.exists()
+    with pytest.raises(UserError, match="no"), comparison_jobs.opened(folder, base):
+        folder.seed(0).checkpoint("agent_0", 0).parent.mkdir(parents=True)
+        folder.seed(0).checkpoint("agent_0", 0).touch()
+        raise UserError("no")
+    assert folder.description.exists()
 
 
 def test_a_run_that_was_killed_before_it_began_is_begun_again(
@@ -140,10 +225,10 @@ def test_a_run_that_was_killed_before_it_began_is_begun_again(
     """But a folder of the user's own, with a file of such a name in it, is left alone."""
     (run.root / ".lock").touch()
     run.run_json.unlink()
-    run_record.make_folder(run.root, needed=0)
+    new_folder.make_folder(run.root, needed=0)
     (run.root / ".lock").unlink()
     with pytest.raises(UserError, match="exists already; use another --out"):
-        run_record.make_folder(run.root, needed=0)
+        new_folder.make_folder(run.root, needed=0)
 
 
 def test_a_changed_description_is_not_resumed(run: RunFolder) -> None:

@@ -17,7 +17,7 @@ from otc_dist import certs, inputs
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_files
 from otc_dist.errors import UserError
-from otc_dist.launch import descriptions, run_record
+from otc_dist.launch import descriptions, new_folder, run_record
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.ledger import Ledger
 from otc_dist.launch.place import Place
@@ -252,7 +252,7 @@ def test_a_run_does_not_go_on_with_other_data_of_the_same_name(
     description = resolve(
         descriptions.load("3agent_hopper", (*tiny_flags[1::2], *chosen), None, quick=False)
     )
-    folder = run_record.make_folder(tmp_path / "run", needed=0)
+    folder = new_folder.make_folder(tmp_path / "run", needed=0)
     record = run_record.create(folder, description, quick=False, place=Place())
     Ledger(record, folder).note_inputs(inputs.data(description, AGENTS), description)
     shutil.rmtree(store.agent_file(name, "agent_0").parent)
