@@ -6,6 +6,7 @@ from typing import Any
 
 from otc_dist.errors import UserError
 from otc_dist.parser import Parser
+from otc_dist.printable import say
 from otc_dist.run_folder import RunFolder
 
 from .run_record import RunRecord
@@ -33,7 +34,7 @@ def main(argv: list[str]) -> int:
         approval.touch()
     except OSError as error:
         raise UserError(f"cannot write {approval}: {error.strerror}") from None
-    print(f"approved: deployment {told['deployment']}, by policy {told['policy']}")
+    say(f"approved: deployment {told['deployment']}, by policy {told['policy']}")
     return 0
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
+from otc_dist.printable import printable, say
 from otc_dist.run_folder import RunFolder
 
 _STYLES = {"good": "bold green", "bad": "bold red"}  # by the verdict's tone
@@ -17,8 +18,8 @@ def show_closing(folder: RunFolder) -> None:
     tone = _read(folder)["verdict"]["tone"]
     first, *others = closing_lines(folder)
     console = Console(force_terminal=sys.stdout.isatty(), highlight=False, soft_wrap=True)
-    console.print(first, style=_STYLES.get(tone, "bold"), markup=False)
-    print("\n".join(others), flush=True)
+    console.print(printable(first), style=_STYLES.get(tone, "bold"), markup=False)
+    say(*others)
 
 
 def closing_lines(folder: RunFolder) -> Iterator[str]:

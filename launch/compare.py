@@ -14,6 +14,7 @@ from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.parser import Parser
+from otc_dist.printable import say
 
 from . import comparison_jobs, descriptions
 from .jobs import FailedError, Job, StoppedError, cores, run_jobs
@@ -63,8 +64,8 @@ def main(argv: list[str]) -> int:
 def _show(arguments: argparse.Namespace) -> int:
     """Print the tables of a folder of raw scores."""
     found = collected.collect(arguments.tables)
-    print(f"{found.name}, {found.dataset}; on {tables.processors(found.runs)}")
-    print("\n".join(tables.text(summarise(found.runs, found.normalise))))
+    say(f"{found.name}, {found.dataset}; on {tables.processors(found.runs)}")
+    say(*tables.text(summarise(found.runs, found.normalise)))
     if arguments.picture is not None:
         seeds = max(len(of_arm) for of_arm in found.runs.values())
         over = "1 seed" if seeds == 1 else f"mean ± standard error of {seeds} seeds"
@@ -99,7 +100,7 @@ def _compare(
         collected.keep(folder, (), (), results)
     jobs = comparison_jobs.comparison(folder, base, arms, seeds)
     left = sum(not job.done for job in jobs)
-    print(f"{folder.root}: {len(jobs)} jobs, {left} of them to do", flush=True)
+    say(f"{folder.root}: {len(jobs)} jobs, {left} of them to do")
     complete = len(_complete(folder, arms, seeds))
 
     def finished(job: Job) -> None:
@@ -151,7 +152,7 @@ def _conclude(
     of_all = "" if len(complete) == len(seeds) else f" of {len(seeds)}: so far"
     count = f"{len(complete)} complete {'seed' if len(complete) == 1 else 'seeds'}"
     print(f"\n{count}{of_all}{f' ({label})' if label else ''}")
-    print("\n".join(tables.text(summary)))
+    say(*tables.text(summary))
     print(f"report: {folder.report}\n", flush=True)
 
 

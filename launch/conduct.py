@@ -14,6 +14,7 @@ from otc_dist.bus.messages import Status
 from otc_dist.datasets.card import FILE_NAME as CARD
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, told
+from otc_dist.printable import say
 from otc_dist.processor import libraries
 
 from . import descriptions
@@ -53,10 +54,10 @@ def conduct(plan: Plan, record: RunRecord) -> int:
     title = plan.description.name
     if record.quick:
         title += f" ({descriptions.QUICK_LABEL})"
-    print(f"{title}: {plan.folder.root}", flush=True)
+    say(f"{title}: {plan.folder.root}")
     strangers = nobody_of_run(plan, record.run)
     for line in filter(None, (plan.place.meeting, plan.place.missing or strangers)):
-        print(line, flush=True)
+        say(line)
     for remark in registry.remarks(plan.description.env.id):
         print(f"{plan.description.env.id}: {remark}", flush=True)
     ledger = Ledger(record, plan.folder)
@@ -205,11 +206,11 @@ def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, v
 def _explain(died: DiedError) -> None:
     end, lines = died.end, died.end.last_lines()
     if lines and lines[-1].startswith("error: "):  # it could say itself what was wrong
-        print(f"error: {end.process}: {lines[-1].removeprefix('error: ')}", file=sys.stderr)
+        say(f"error: {end.process}: {lines[-1].removeprefix('error: ')}", file=sys.stderr)
         return
     again = f", also after {died.restarts} restarts" if died.restarts else ""
-    print(f"error: {end.process} {died.manner}{again}; all others were stopped", file=sys.stderr)
+    say(f"error: {end.process} {died.manner}{again}; all others were stopped", file=sys.stderr)
     if lines:
-        print(f"its last lines ({end.output}):", file=sys.stderr)
+        say(f"its last lines ({end.output}):", file=sys.stderr)
         for line in lines:
-            print(f"  {line}", file=sys.stderr)
+            say(f"  {line}", file=sys.stderr)

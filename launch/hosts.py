@@ -25,6 +25,7 @@ from otc_dist.bus.keys import HOST
 from otc_dist.description.assignments import explain
 from otc_dist.description.section import Section
 from otc_dist.errors import UserError, unknown
+from otc_dist.printable import say
 from otc_dist.spec import TeamSpec
 
 from .signals import Signals
@@ -172,4 +173,4 @@ def _explain(end: End, every: Sequence[Part]) -> None:
         f"error: {end.process} on {machine} {end.manner}; all others are stopped", file=sys.stderr
     )
     for line in end.last_lines(3):
-        print(f"  {line}", file=sys.stderr)
+        say(f"  {line}", file=sys.stderr)

@@ -12,6 +12,7 @@ from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.parser import Parser
+from otc_dist.printable import say
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
@@ -104,7 +105,7 @@ def _start(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         if quick:
             print(descriptions.QUICK_LABEL)
-        print("\n".join(planned.lines()), flush=True)
+        say(*planned.lines())
         preflight.check(planned, out)
         return 0
     if place.insecure:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from otc_dist.bus.messages import Status
 from otc_dist.parser import Parser
+from otc_dist.printable import say
 from otc_dist.run_folder import RunFolder
 
 from . import forecast, run_record
@@ -53,7 +54,7 @@ def main(argv: list[str]) -> int:
         }
         print(json.dumps(told, indent=1))
     else:
-        print("\n".join(_lines(folder, state, supervision)))
+        say(*_lines(folder, state, supervision))
     return 0
 
 

@@ -7,9 +7,11 @@ from rich.console import Console
 from rich.live import Live
 from rich.measure import Measurement
 from rich.table import Table
+from rich.text import Text
 
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
+from otc_dist.printable import printable, say
 from otc_dist.progress import redraws
 
 from . import forecast
@@ -52,7 +54,7 @@ class LineView:
         pass
 
     def say(self, line: str) -> None:
-        print(line, flush=True)
+        say(line)
 
     def show(self, board: Board) -> None:
         for event in board.drain_events():
@@ -82,7 +84,7 @@ class TableView:
         self._live.stop()
 
     def say(self, line: str) -> None:
-        self._console.print(line, markup=False)
+        self._console.print(printable(line), markup=False)
 
     def show(self, board: Board) -> None:
         for event in board.drain_events():
@@ -97,11 +99,11 @@ class TableView:
         columns = _columns(board)
         for name in ("", *_SPARE):
             columns.pop(name, None)
-            table = Table(title=title)
+            table = Table(title=Text(printable(title)))
             for heading in columns:
                 table.add_column(heading, justify="left" if heading in _WORDS else "right")
             for row in zip(*columns.values(), strict=True):
-                table.add_row(*row)
+                table.add_row(*(Text(printable(cell)) for cell in row))
             anywhere = self._console.options.update(max_width=_WIDEST)
             if Measurement.get(self._console, anywhere, table).maximum <= self._console.width:
                 break

@@ -9,6 +9,8 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import NoReturn
 
+from otc_dist.printable import printable, say
+
 
 class UserError(Exception):
     """Something the user can mend. The message is one line: what was wrong, and what to do."""
@@ -35,7 +37,7 @@ def run_main(main: Callable[[list[str]], int]) -> None:
     try:
         status = main(sys.argv[1:])
     except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(printable(f"error: {error}"), file=sys.stderr)
         status = 2
     except KeyboardInterrupt:
         status = 130
@@ -43,7 +45,7 @@ def run_main(main: Callable[[list[str]], int]) -> None:
         sys.stderr.close()
         status = 141
     except OSError as error:  # a folder that cannot be read or written, a full disk
-        print(f"error: {told(error)}", file=sys.stderr)
+        say(printable(f"error: {told(error)}"), file=sys.stderr)
         status = 2
     leave(status)
 

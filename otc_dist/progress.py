@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from otc_dist.printable import printable, say
+
 Report = Callable[[int, int], None]  # done, of how many
 
 _LINE_EVERY = 10.0  # seconds between lines of progress where there is no terminal
@@ -28,7 +30,7 @@ def shown(doing: str, unit: str) -> Iterator[Report]:
     console = Console(stderr=True)
     if redraws(console):
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TextColumn("{task.completed:,.0f} of {task.total:,.0f}"),
             TimeRemainingColumn(),
@@ -39,7 +41,7 @@ def shown(doing: str, unit: str) -> Iterator[Report]:
             def draw(done: int, total: int) -> None:
                 nonlocal task
                 if task is None:
-                    task = bar.add_task(doing, total=total)
+                    task = bar.add_task(printable(doing), total=total)
                 bar.update(task, completed=done, total=total)
 
             yield draw
@@ -51,6 +53,6 @@ def shown(doing: str, unit: str) -> Iterator[Report]:
         now = time.monotonic()
         if now - printed >= _LINE_EVERY or done == total:
             printed = now
-            print(f"{doing}: {done:,} of {total:,} {unit}", file=sys.stderr, flush=True)
+            say(f"{doing}: {done:,} of {total:,} {unit}", file=sys.stderr)
 
     yield write

@@ -23,6 +23,7 @@ from otc_dist.errors import UserError, leave, told
 from otc_dist.exploration import Schedule
 from otc_dist.inputs import Digests, check
 from otc_dist.parser import Parser
+from otc_dist.printable import printable, say
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
@@ -162,13 +163,13 @@ def serve(body: Callable[[], None]) -> None:
         body()
         status = 0
     except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(printable(f"error: {error}"), file=sys.stderr)
         status = 2
     except (FailureError, GaveUpError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(printable(f"error: {error}"), file=sys.stderr)
         status = 1
     except OSError as error:  # a full disk, a folder that went
-        print(f"error: {told(error)}", file=sys.stderr)
+        say(printable(f"error: {told(error)}"), file=sys.stderr)
         status = 1
     except _StoppedError as stopped:
         print(f"stopped by {signal.Signals(stopped.number).name}", file=sys.stderr)

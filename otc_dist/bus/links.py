@@ -25,6 +25,7 @@ zenoh: Any = _typed_zenoh  # its stubs leave functions untyped; none of its type
 # bytes; sessions that neither send nor take longer messages have quick links. So short that all
 # that is asked of a frozen learner, until the lease ends its link, fits into the socket's buffer.
 QUICK_PAYLOAD = 16_000
+_ENVELOPE = 2**16  # bytes of a message beside its payload, at most: its key and what Zenoh adds
 _LEASE_MS = 1500  # a frozen process is noticed soon after, and must be within 2 s
 
 
@@ -44,6 +45,8 @@ def configuration(mode: str, maximum_payload: int, settings: Mapping[str, object
         # Batching stays on: without it, Zenoh 1.10 holds messages back for seconds.
         "transport/link/tx/lease": _LEASE_MS,
         "transport/unicast/max_sessions": 10_000,  # Zenoh stops at 1,000 by itself
+        # What is put together of a message's fragments, before anything below can look at it.
+        "transport/link/rx/max_message_size": maximum_payload + _ENVELOPE,
         "low_pass_filter": [
             {
                 "id": "maximum_payload",

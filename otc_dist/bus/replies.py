@@ -15,6 +15,7 @@ from otc_dist.bus.wire import (
     raw,
     unpack,
 )
+from otc_dist.names import check_agents, checked_environment
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 
@@ -50,7 +51,13 @@ def decode_spec(payload: bytes, run: str) -> RunSpec:
     _, _, env_id, agents, description = unpack(payload, run, 5)
     if type(agents) is not list:
         raise RejectedError("type")
-    return RunSpec(name(env_id), tuple(_agent(agent) for agent in agents), name(description))
+    spec = RunSpec(name(env_id), tuple(_agent(agent) for agent in agents), name(description))
+    try:
+        checked_environment(spec.env_id)
+        check_agents(agent.name for agent in spec.agents)
+    except ValueError as error:
+        raise RejectedError("name", str(error)) from None
+    return spec
 
 
 def _agent(fields: object) -> AgentSpec:

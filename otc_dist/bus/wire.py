@@ -98,8 +98,8 @@ def natural(value: object) -> int:
 
 
 def name(value: object) -> str:
-    """A string of at most 256 characters."""
-    if type(value) is not str or len(value) > _LONGEST_NAME:
+    """A string of at most 256 characters, all of which can be seen: it is shown to people."""
+    if type(value) is not str or len(value) > _LONGEST_NAME or not value.isprintable():
         raise RejectedError("type")
     return value
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from html import escape
 
 from otc_dist.comparison import charts, tables
 from otc_dist.comparison.arms import REFERENCE, Arms
@@ -12,6 +11,7 @@ from otc_dist.comparison.scores import ComparisonFolder, Run, write_json
 from otc_dist.comparison.statistics import Summary
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.printable import on_page
 from otc_dist.report import html
 
 
@@ -66,7 +66,7 @@ def page(
         *notices,
         html.section(
             "Result",
-            f"<p>{escape(summary.conclusion)}</p>",
+            f"<p>{on_page(summary.conclusion)}</p>",
             charts.judged(summary),
             html.note(bars if count > 1 else alone),
             *_judged(summary),

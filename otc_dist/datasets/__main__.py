@@ -12,6 +12,7 @@ from otc_dist.datasets.importers import import_files
 from otc_dist.datasets.names import DatasetName, known_names
 from otc_dist.errors import UserError, run_main
 from otc_dist.parser import Parser
+from otc_dist.printable import printable, say
 
 DESCRIPTION = """\
 Offline data sets B_0: one file an agent, with only that agent's <s, a_i, r, s'>.
@@ -49,14 +50,14 @@ def main(argv: list[str]) -> int:
         user_code.allow(arguments.name.rpartition("/")[0])
         with progress.shown(f"making {arguments.name}", "transitions") as report:
             card = store.ensure(arguments.name, arguments.transitions, report, arguments.agent)
-        print(describe(card))
+        say(*describe(card))
     elif arguments.command == "show":
-        print(describe(_cached(arguments.name, arguments.transitions)))
+        say(*describe(_cached(arguments.name, arguments.transitions)))
     else:
         user_code.allow(arguments.env, *arguments.allow)
         with progress.shown("reading", "logs") as report:
             card = import_files(arguments.files, arguments.name, arguments.env, report)
-        print(describe(card))
+        say(*describe(card))
     return 0
 
 
@@ -141,7 +142,7 @@ def _list() -> None:
                 f"{sum(file.stat().st_size for file in files) / 1e6:.1f}" if sizes else "-",
             )
         )
-    print(_table(rows))
+    say(*_table(rows))
 
 
 def _cached(name: str, transitions: int) -> DatasetCard:
@@ -166,7 +167,7 @@ def _cached(name: str, transitions: int) -> DatasetCard:
     return card
 
 
-def describe(card: DatasetCard) -> str:
+def describe(card: DatasetCard) -> list[str]:
     """The card as aligned text."""
     folder = DatasetName(card.env_id, card.name.partition("/")[2]).folder / str(card.transitions)
     ends = f"{card.terminated:,} terminated, {card.truncated:,} truncated"
@@ -197,13 +198,13 @@ def _summary(summary: Summary | None) -> str:
     return f"mean {summary.mean:.1f}, std {summary.std:.1f}, from {low} to {high}"
 
 
-def _table(rows: Sequence[tuple[str, ...]]) -> str:
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    rows = [tuple(map(printable, row)) for row in rows]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = (
+    return [
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
-    )
-    return "\n".join(lines)
+    ]
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import summarise
 from otc_dist.deployment_log.several import in_order
 from otc_dist.errors import UserError
+from otc_dist.printable import say
 from otc_dist.progress import Report, shown
 from otc_dist.replay.output import claimed, note_shortfall
 from otc_dist.replay.selection import Selection, select
@@ -48,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
             writer.start("", f"otc_dist {otc_dist.__version__}")
             _write(writer, ordered, selections, report)
             writer.finish()  # type: ignore[no-untyped-call]
-    print(out)
+    say(out)
     return 0
 
 

@@ -3,7 +3,6 @@
 import argparse
 import base64
 import json
-from html import escape
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -11,6 +10,7 @@ from string import Template
 import numpy as np
 from numpy.typing import ArrayLike
 
+from otc_dist.printable import on_page, say
 from otc_dist.replay.output import claimed
 from otc_dist.replay.tape import Tape, selected_tape
 from otc_dist.scenes.scene import Scene, agent_colour, choice_colours
@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     with claimed(out, force=arguments.force) as path:
         page = render(selected_tape(arguments))
         path.write_text(page, encoding="utf-8")
-    print(out)
+    say(out)
     return 0
 
 
@@ -40,8 +40,8 @@ def render(tape: Tape) -> str:
     if tape.extent.shortfall is not None:
         lead += f" · {tape.extent.shortfall}"
     return Template(_part("page.html")).substitute(
-        title=escape(f"{header.run}, deployment {header.deployment}"),
-        lead=escape(lead),
+        title=on_page(f"{header.run}, deployment {header.deployment}"),
+        lead=on_page(lead),
         style=_part("style.css"),
         script="\n".join(map(_part, _SCRIPTS)),
         # Within a script element nothing is unescaped, and "</script" would end it.

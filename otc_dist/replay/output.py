@@ -12,12 +12,13 @@ from pathlib import Path
 
 from otc_dist.deployment_log.reader import LogSummary
 from otc_dist.errors import UserError
+from otc_dist.printable import say
 
 
 def note_shortfall(summary: LogSummary) -> None:
     """Say so, beside the result, where a log does not hold its whole deployment."""
     if summary.extent.shortfall is not None:
-        print(f"note: {summary.path} is {summary.extent.shortfall}", file=sys.stderr, flush=True)
+        say(f"note: {summary.path} is {summary.extent.shortfall}", file=sys.stderr)
 
 
 @contextmanager

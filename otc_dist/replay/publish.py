@@ -31,6 +31,7 @@ from otc_dist.deployment_log.several import in_order
 from otc_dist.description import Description
 from otc_dist.errors import UserError
 from otc_dist.host_state import HostState
+from otc_dist.printable import say
 from otc_dist.progress import shown
 from otc_dist.replay.log_host import Asker, LogHost, OtherActionError, Teller
 from otc_dist.replay.output import note_shortfall
@@ -79,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
             else:
                 _tell(arguments, host, parts)
         except (GaveUpError, OtherActionError) as error:
-            print(f"error: {error}", file=sys.stderr)
+            say(f"error: {error}", file=sys.stderr)
             return 1
     return 0
 

@@ -12,6 +12,7 @@ from otc_dist.deployment_log.record import Rows
 from otc_dist.deployment_log.salvage import Salvage
 from otc_dist.deployment_log.seeds import foreign_steps
 from otc_dist.errors import UserError
+from otc_dist.printable import say
 from otc_dist.progress import Report, shown
 from otc_dist.replay.output import claimed
 
@@ -31,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
         with OpenLog(out) as log:
             extent, foreign = log.extent, foreign_steps(log.header, log.blocks())
         told = f"{out}: {extent.shortfall or f'all of {extent.count}'}; missing: {extent.missing}"
-        print(f"{told}; {foreign}" if foreign else told)
+        say(f"{told}; {foreign}" if foreign else told)
         complete = complete and extent.complete and not foreign
     return 0 if complete else 1
 

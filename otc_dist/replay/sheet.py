@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from otc_dist.printable import say
 from otc_dist.progress import shown
 from otc_dist.replay.output import claimed
 from otc_dist.replay.tape import highlights
@@ -43,5 +44,5 @@ def run(arguments: argparse.Namespace) -> int:
                         report(done, total)
         half = (size[0] // 2, size[1] // 2)
         sheet.resize(half, Image.Resampling.LANCZOS).save(path, "png")
-    print(out)
+    say(out)
     return 0

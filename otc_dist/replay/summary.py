@@ -10,6 +10,7 @@ import numpy as np
 from otc_dist.deployment_log.episodes import Episode
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import LogSummary, summarise
+from otc_dist.printable import printable, say
 from otc_dist.replay.selection import Selection, select
 from otc_dist.transitions import Float64
 
@@ -21,7 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
     for number, path in enumerate(arguments.files):
         if number:
             print()
-        print("\n".join(_lines(arguments, path)))
+        say(*_lines(arguments, path))
     return 0
 
 
@@ -34,7 +35,7 @@ def _lines(arguments: argparse.Namespace, path: Path) -> list[str]:
             rows += _whole(summary, selection)
         else:
             rows += _part(log, summary, selection)
-    return [str(summary.path), *(f"  {label:<{_LABEL}}{text}" for label, text in rows)]
+    return [str(summary.path), *(f"  {label:<{_LABEL}}{printable(text)}" for label, text in rows)]
 
 
 def _about(summary: LogSummary) -> list[tuple[str, str]]:

@@ -16,6 +16,7 @@ from otc_dist.deployment_log.reader import LogSummary, summarise
 from otc_dist.deployment_log.seeds import SeedCheck
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.printable import say
 from otc_dist.processor import kind
 from otc_dist.progress import shown
 from otc_dist.replay import resimulation
@@ -36,9 +37,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Check each file and print what was found; the worst status."""
     statuses: set[int | None] = {0}
     for path in arguments.files:
-        print(path, flush=True)
+        say(path)
         for status, text in _findings(arguments, path):
-            print(f"  {_SIGNS[status]:<5} {text}", flush=True)
+            say(f"  {_SIGNS[status]:<5} {text}")
             statuses.add(status)
     return next(status for status in (FAILED, UNBOUND, APPROXIMATE, 0) if status in statuses)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from otc_dist.errors import UserError
+from otc_dist.printable import say
 from otc_dist.progress import shown
 from otc_dist.replay.output import claimed
 from otc_dist.replay.tape import highlights
@@ -43,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
                         done += 1
                         report(done, total)
             film.mux(stream.encode())
-    print(out)
+    say(out)
     return 0
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from otc_dist.errors import run_main
 from otc_dist.parser import Parser
+from otc_dist.printable import say
 from otc_dist.report.write import write_report
 from otc_dist.run_folder import RunFolder
 
@@ -23,7 +24,7 @@ def main(argv: list[str]) -> int:
     again = import_module("otc_dist.comparison.again")
     for root in parser.parse_args(argv).runs:
         write = again.write_again if again.is_comparison(root) else write_report
-        print(write(RunFolder(root)))
+        say(write(RunFolder(root)))
     return 0
 
 

@@ -3,8 +3,8 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 
+from otc_dist.printable import on_page
 from otc_dist.report.axes import Axis, Range
 from otc_dist.report.numbers import NOTHING, signed
 from otc_dist.report.svg import LETTER, colour_class
@@ -41,8 +41,8 @@ def forest(rows: Sequence[Row], *, title: str, x_label: str, x_range: Range, wid
     axis = Axis.linear(*x_range, left + 10, width - _NUMBER - 10)
     parts = [
         f'<svg class="chart" viewBox="0 0 {width:g} {bottom + _BOTTOM:g}" role="img"'
-        f' aria-label="{escape(title)}"><title>{escape(title)}</title>'
-        f'<text class="title" x="{_EDGE:g}" y="14">{escape(title)}</text>'
+        f' aria-label="{on_page(title)}"><title>{on_page(title)}</title>'
+        f'<text class="title" x="{_EDGE:g}" y="14">{on_page(title)}</text>'
     ]
     for value, text in axis.ticks:
         x, kind = axis.at(value), "zero" if value == 0 else "grid"
@@ -52,7 +52,7 @@ def forest(rows: Sequence[Row], *, title: str, x_label: str, x_range: Range, wid
         )
     middle = (left + width - _NUMBER) / 2
     parts.append(
-        f'<text x="{middle:.1f}" y="{bottom + 33:g}" text-anchor="middle">{escape(x_label)}</text>'
+        f'<text x="{middle:.1f}" y="{bottom + 33:g}" text-anchor="middle">{on_page(x_label)}</text>'
     )
     for i, row in enumerate(rows):
         y = _TOP + pitch * i + (_ROW / 2 if not above else 14 + _ROW / 2 - 4)
@@ -61,7 +61,7 @@ def forest(rows: Sequence[Row], *, title: str, x_label: str, x_range: Range, wid
             if above
             else f'<text class="name" x="{_EDGE:g}" y="{y + 4:.1f}">'
         )
-        parts.append(f"{label}{escape(row.label)}</text>{_drawn(row, axis, y, width)}")
+        parts.append(f"{label}{on_page(row.label)}</text>{_drawn(row, axis, y, width)}")
     return "".join(parts) + "</svg>"
 
 
@@ -79,7 +79,7 @@ def _drawn(row: Row, axis: Axis, y: float, width: float) -> str:
     tip = f"{row.label}: {' '.join(intervals)}"
     parts.append(
         f'<circle class="mark" cx="{axis.at(row.value):.1f}" cy="{y:.1f}" r="4.6">'
-        f"<title>{escape(tip)}</title></circle>"
+        f"<title>{on_page(tip)}</title></circle>"
         f'<text x="{width - _EDGE:g}" y="{y + 4:.1f}" text-anchor="end">{told}</text>'
     )
     return f'<g class="{colour_class(row.colour)}">{"".join(parts)}</g>'

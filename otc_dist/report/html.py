@@ -1,8 +1,8 @@
 """A self-contained page: its style, and the few elements that reports are made of."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from html import escape
 
+from otc_dist.printable import on_page
 from otc_dist.report import svg
 
 _STYLE = """
@@ -73,8 +73,8 @@ def page(title: str, lead: str, parts: Iterable[str]) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{_STYLE}{svg.STYLE}</style></head><body><main>\n"
-        f'<h1>{escape(title)}</h1><p class="lead">{escape(lead)}</p>\n'
+        f"<title>{on_page(title)}</title><style>{_STYLE}{svg.STYLE}</style></head><body><main>\n"
+        f'<h1>{on_page(title)}</h1><p class="lead">{on_page(lead)}</p>\n'
         + "\n".join(part for part in parts if part)
         + "\n</main></body></html>\n"
     )
@@ -82,19 +82,19 @@ def page(title: str, lead: str, parts: Iterable[str]) -> str:
 
 def verdict(tone: str, sentence: str, more: Iterable[str] = ()) -> str:
     """What happened, coloured by `tone`: "good", "bad", or any other."""
-    lines = "".join(f"<p>{escape(text)}</p>" for text in (sentence, *more))
-    return f'<div class="verdict {escape(tone)}">{lines}</div>'
+    lines = "".join(f"<p>{on_page(text)}</p>" for text in (sentence, *more))
+    return f'<div class="verdict {on_page(tone)}">{lines}</div>'
 
 
 def notice(strong: str, text: str) -> str:
     """A line that cannot be overlooked."""
-    return f'<div class="notice"><strong>{escape(strong)}</strong> {escape(text)}</div>'
+    return f'<div class="notice"><strong>{on_page(strong)}</strong> {on_page(text)}</div>'
 
 
 def figures(items: Iterable[tuple[str, str]]) -> str:
     """Key figures in a row: (value, what it is)."""
     cells = "".join(
-        f'<div class="figure"><b>{escape(value)}</b><span>{escape(text)}</span></div>'
+        f'<div class="figure"><b>{on_page(value)}</b><span>{on_page(text)}</span></div>'
         for value, text in items
     )
     return f'<div class="figures">{cells}</div>'
@@ -102,7 +102,7 @@ def figures(items: Iterable[tuple[str, str]]) -> str:
 
 def section(title: str, *parts: str) -> str:
     """A box with a heading; `parts` are HTML."""
-    heading = f"<h2>{escape(title)}</h2>" if title else ""
+    heading = f"<h2>{on_page(title)}</h2>" if title else ""
     return f"<section>{heading}{''.join(parts)}</section>"
 
 
@@ -136,7 +136,7 @@ def table(
     def shown(text: str) -> str:
         colour = (colours or {}).get(text)
         dot = "" if colour is None else f'<span class="dot {svg.colour_class(colour)}"></span>'
-        return dot + escape(text)
+        return dot + on_page(text)
 
     rows = "".join(
         f"<tr{' class=sum' if i >= len(lines) - sums else ''}>"
@@ -150,20 +150,20 @@ def table(
 
 def facts(items: Iterable[tuple[str, str]]) -> str:
     """Names and what they are."""
-    rows = "".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in items)
+    rows = "".join(f"<tr><td>{on_page(k)}</td><td>{on_page(v)}</td></tr>" for k, v in items)
     return f'<table class="facts"><tbody>{rows}</tbody></table>'
 
 
 def note(text: str) -> str:
     """Small print below a chart or a table."""
-    return f'<p class="note">{escape(text)}</p>'
+    return f'<p class="note">{on_page(text)}</p>'
 
 
 def preformatted(text: str) -> str:
     """Text as it is: a command line, a file."""
-    return f"<pre>{escape(text)}</pre>"
+    return f"<pre>{on_page(text)}</pre>"
 
 
 def details(summary: str, *parts: str) -> str:
     """Folded away until asked for; `parts` are HTML."""
-    return f"<details><summary>{escape(summary)}</summary>{''.join(parts)}</details>"
+    return f"<details><summary>{on_page(summary)}</summary>{''.join(parts)}</details>"

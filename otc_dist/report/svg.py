@@ -6,9 +6,9 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Literal
 
+from otc_dist.printable import on_page
 from otc_dist.report.axes import Axis, Range
 from otc_dist.report.numbers import number
 
@@ -125,8 +125,8 @@ def line_chart(
     top = 26.0 + rows * _LINE
     head = (
         f'<svg class="chart" viewBox="0 0 {width:g} {height:g}" role="img"'
-        f' aria-label="{escape(title)}"><title>{escape(title)}</title>'
-        f'<text class="title" x="{_edge(width):g}" y="14">{escape(title)}</text>'
+        f' aria-label="{on_page(title)}"><title>{on_page(title)}</title>'
+        f'<text class="title" x="{_edge(width):g}" y="14">{on_page(title)}</text>'
     )
     if not xs or not ys:
         middle = f'x="{width / 2:g}" y="{height / 2:g}" text-anchor="middle"'
@@ -151,9 +151,9 @@ def line_chart(
     centre = (top + height - _BOTTOM) / 2
     parts.append(
         f'<text x="{(_LEFT + width - _RIGHT) / 2:g}" y="{height - 7:g}" text-anchor="middle">'
-        f"{escape(x_label)}</text>"
+        f"{on_page(x_label)}</text>"
         f'<text transform="translate(13 {centre:g}) rotate(-90)" text-anchor="middle">'
-        f"{escape(y_label)}</text>"
+        f"{on_page(y_label)}</text>"
     )
     for i, reference in enumerate(references):
         if usable(reference.y):
@@ -161,7 +161,7 @@ def line_chart(
             parts.append(
                 f'<line class="reference" stroke-dasharray="{_DASHES[i % len(_DASHES)]}"'
                 f' x1="{_LEFT:g}" x2="{width - _RIGHT:g}" y1="{y:.1f}"'
-                f' y2="{y:.1f}"><title>{escape(reference.label)}: {number(reference.y)}</title>'
+                f' y2="{y:.1f}"><title>{on_page(reference.label)}: {number(reference.y)}</title>'
                 "</line>"
             )
     plots = [_Plot(s, i, x_axis, y_axis, usable) for i, s in enumerate(series)]
@@ -210,7 +210,7 @@ class _Plot:
                     if s.low is not None and s.high is not None:
                         text += f" ({number(s.low[i])} to {number(s.high[i])})"
                     shape = _mark(self.index, self.x.at(x), self.y.at(y))
-                    out.append(f"{shape}<title>{escape(text)}</title></path>")
+                    out.append(f"{shape}<title>{on_page(text)}</title></path>")
         return "".join(out) + "</g>"
 
     def _runs(
@@ -274,6 +274,6 @@ def _legend(
         line = f'<path {style} d="M{x:g} {y - 4:g}h26"/>'
         if index >= 0 and series[index].marks:
             line += _mark(index, x + 13, y - 4) + "</path>"
-        out.append(f'<g{colour}>{line}<text x="{x + 32:g}" y="{y:g}">{escape(label)}</text></g>')
+        out.append(f'<g{colour}>{line}<text x="{x + 32:g}" y="{y:g}">{on_page(label)}</text></g>')
         x += space
     return "".join(out), row if items else 0

@@ -237,7 +237,7 @@ def history_query(count: int, rejections: Rejections, noise: random.Random) -> N
     )
     with tempfile.TemporaryDirectory() as folder:
         root = RunFolder(Path(folder))
-        asked = Run(root, description, team_spec("hopper-3x1"), KEYS)
+        asked = Run(root, description, team_spec("hopper-3x1"), KEYS, {}, False)
         reply = history_of(asked, "agent_0", rejections)
         right = {"deployment": "1", "start": "0", "stop": "5"}
         bad = (

@@ -6,6 +6,8 @@ import queue
 import signal
 import socket
 import stat
+import subprocess
+import sys
 import threading
 import time
 from contextlib import ExitStack
@@ -18,7 +20,7 @@ from otc_dist.bus import handshake
 from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
 from otc_dist.bus.handshake import agree, claim, offer
 from otc_dist.bus.keys import Keys
-from otc_dist.bus.links import QUICK_PAYLOAD
+from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
 from otc_dist.bus.lockstep import GaveUpError, HostLockstep, LearnerLockstep
 from otc_dist.bus.messages import Action, Moment, Observation
 from otc_dist.bus.replies import RunSpec
@@ -255,3 +257,37 @@ def test_quick_and_ordinary_sessions_understand_each_other(
         while (answer := other.ask("t/page", {}, PATIENCE)) is None:
             pass
         assert answer == page
+
+
+CENTRE = """
+import sys
+from otc_dist.bus.endpoints import Door
+from otc_dist.bus.session import Session
+
+def peak():
+    return next(int(x.split()[1]) for x in open("/proc/self/status") if x.startswith("VmHWM"))
+
+with Session.listen([Door(sys.argv[1])], int(sys.argv[2])) as session:
+    session.answer("a/key", lambda _: str(peak()).encode())
+    print("up", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("limit", [16_000, 2**20])
+def test_a_message_beyond_the_cap_is_not_put_together(endpoint: str, limit: int) -> None:
+    """The host's memory, as it tells it, before and after a hostile client's large queries."""
+    command = [sys.executable, "-c", CENTRE, endpoint, str(limit)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as centre:
+        assert centre.stdout is not None and centre.stdout.readline() == b"up\n"
+        client = zenoh.open(configuration("client", 2**30, {"connect/endpoints": [endpoint]}))
+
+        def peak() -> int:  # answered after all that was sent before it
+            (reply,) = client.get("a/key", timeout=30.0)
+            return int(reply.ok.payload.to_bytes())
+
+        before = peak()
+        for _ in range(2):
+            client.get("a/key", payload=bytes(2**26), timeout=0.1)
+            assert peak() - before < 2**14  # KiB: it was 64 MiB long
+        client.close()

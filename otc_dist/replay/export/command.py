@@ -15,6 +15,7 @@ from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import LogSummary, read_header, summarise
 from otc_dist.deployment_log.several import in_order
 from otc_dist.errors import UserError
+from otc_dist.printable import say
 from otc_dist.replay.export.formats import FORMATS, Format, View
 from otc_dist.replay.export.room import require_room
 from otc_dist.replay.export.trajectories import Trajectory, trajectories
@@ -73,7 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         card = _export(folder, parts, form, arguments)
         for path in (*folder.rglob("*"), folder):
             durable.sync(path)
-    print(
+    say(
         f"{arguments.out}: {arguments.export}, {', '.join(card['data_sets'])};"
         f" {card['transitions']:,} transitions in {card['trajectories']:,} trajectories"
     )
