@@ -13,10 +13,12 @@ log = logging.getLogger(__name__)
 def write(path: Path, content: bytes) -> None:
     """Replace `path` in one step, on the disk: a crash leaves the old file or the new one.
 
+    Folders are made. Once this has returned, a power cut takes nothing of it.
+
     Raises:
         OSError: it cannot be written; what was there before still is.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     unfinished = path.with_name(f"{path.name}.partial")
     try:
         with unfinished.open("wb") as file:
@@ -29,6 +31,14 @@ def write(path: Path, content: bytes) -> None:
             unfinished.unlink()
         raise
     sync(path.parent)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those that it lies in, so that they stay. Raises OSError."""
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    for folder in missing:
+        sync(folder.parent)  # which holds its name
 
 
 def sync(path: Path) -> None:

@@ -65,7 +65,7 @@ def locked(name: DatasetName) -> Iterator[None]:
     """
     folder = name.folder
     with _disk_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        durable.make_folder(folder)
         handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         with _disk_errors(folder):
@@ -97,6 +97,7 @@ def publish(
         try:
             staging.chmod(0o755)
             card = _write(staging, name, data, made, agents)
+            durable.sync(staging)
             if folder.exists():  # damaged or outdated: open files of it stay readable
                 folder.rename(staging / "replaced")
             staging.rename(folder)

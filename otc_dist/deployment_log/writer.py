@@ -18,17 +18,19 @@ from otc_dist.deployment_log.record import StepEncoder
 from otc_dist.errors import UserError
 from otc_dist.transitions import JointStep
 
-# An fsync takes milliseconds. One at each episode's end is what we want, but where episodes are
-# short or copies are many it would slow the lock-step: not more often than this, in seconds.
-SYNC_INTERVAL = 0.25
+# To force a step to the disk takes microseconds or milliseconds, depending on the disk. It is done
+# after each step where that takes no more than this share of the time; else as often as it may, but
+# at least once in so many seconds.
+_SYNCING = 0.05
+_LONGEST_PAUSE = 1.0
 
 
 class LogWriter:
     """Writes the log of one deployment, to `PATH.partial` until `finish` moves it to `PATH`.
 
     Each step is handed to the system before `write` returns, so that a killed process loses
-    nothing; at an episode's end, at most four times a second, it is forced to the disk, so that
-    a power cut loses little. Opened by `create` or `resume`.
+    nothing; and it is forced to the disk as often as that costs little, so that a power cut takes
+    the steps of a moment (docs/faults.md). Opened by `create` or `resume`.
     """
 
     def __init__(self, path: Path, header: LogHeader, file: int, steps: int, last: int) -> None:
@@ -39,7 +41,7 @@ class LogWriter:
         self._file = file
         self._size = os.lseek(file, 0, os.SEEK_END)
         self._last_time = last
-        self._synced = time.monotonic()
+        self._due = 0.0  # when to force steps to the disk next, by the monotonic clock
 
     @classmethod
     def create(cls, path: Path, header: LogHeader) -> "LogWriter":
@@ -51,18 +53,10 @@ class LogWriter:
             OSError: the disk is full, ...
         """
         partial, prologue = partial_path(path), _prologue(header)
-        path.parent.mkdir(parents=True, exist_ok=True)
         for existing in (path, partial):
             if existing.exists():
                 raise FileExistsError(f"{existing} exists; a recorded deployment is never replaced")
-        # Appears under its name only with a whole header in it.
-        temporary = path.with_name(path.name + ".new")
-        with temporary.open("wb") as stream:
-            stream.write(prologue)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.rename(partial)
-        durable.sync(path.parent)
+        durable.write(partial, prologue)  # appears under its name only with a whole header in it
         return cls(path, header, _open_locked(partial), 0, 0)
 
     @classmethod
@@ -107,10 +101,15 @@ class LogWriter:
         self._append(record)
         self._last_time = log_time
         self.steps += 1
-        now = time.monotonic()
-        if now - self._synced >= SYNC_INTERVAL and (step.terminated | step.truncated).any():
-            os.fsync(self._file)
-            self._synced = now
+        self._sync_if_due()
+
+    def _sync_if_due(self) -> None:
+        begun = time.monotonic()
+        if begun >= self._due:
+            os.fdatasync(self._file)
+            ended = time.monotonic()
+            pause = (ended - begun) * (1 / _SYNCING - 1)
+            self._due = ended + min(pause, _LONGEST_PAUSE)
 
     def _append(self, record: bytes) -> None:
         try:

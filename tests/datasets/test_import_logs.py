@@ -1,5 +1,6 @@
 """Deployment logs become agents' files: each agent's own transitions, as they were logged."""
 
+from contextlib import closing
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.spec import TeamSpec
 from otc_dist.transitions import JointStep, Transitions
+from tests.power_cut import Disk
 from tests.replay.played import play
 
 RUN = "hopper-run-1a2b3c"
@@ -94,6 +96,23 @@ def test_their_episodes_and_returns_are_those_that_were_logged(deployments: Depl
     assert card.returns.mean == pytest.approx(np.mean(whole))
     episodes = load_tensors(store.agent_file(NAME, "agent_0"), "agent_0")["episodes"]
     assert len(np.unique(episodes)) == len(found)
+
+
+def test_a_power_cut_takes_nothing_of_a_set_that_was_made(
+    deployments: Deployments, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    with closing(Disk(cache, monkeypatch)) as disk:
+        import_files(deployments[0][:1])
+        folder = f"datasets/{NAME}/600"
+        files = [
+            f"{folder}/{name}" for name in ("card.json", *(f"{a}.safetensors" for a in AGENTS))
+        ]
+        written = {name: (cache / name).read_bytes() for name in files}
+        for state in disk.states():
+            assert written == {name: state.get(name) for name in files}
+        monkeypatch.undo()
 
 
 def test_neither_order_nor_repetition_changes_anything(deployments: Deployments) -> None:
