@@ -49,6 +49,7 @@ def _report(folder: RunFolder) -> bytes:
     """The report and its numbers, but for whose they are and how long it took."""
     run = read_run(folder)
     record = {name: value for name, value in run.record.items() if name not in _OWN}
+    record["run"] = "a run"  # else it is called as its folder is
     # Where the processes meet is part of the description, and is not the same for every fault.
     description = run.description.with_assignments("bus.router=''")
     masked = replace(run, record=record, description=description, wall_seconds=None)

@@ -121,6 +121,7 @@ def results(run: RunData) -> dict[str, object]:
         "description_digest": run.description.digest(),
         "command": run.record.get("command"),
         "versions": run.record.get("versions"),
+        "processors": run.record.get("processors"),
         "started": run.record.get("started"),
         "wall_seconds": run.wall_seconds,
         "deployments": run.deployments,

@@ -130,6 +130,9 @@ def _provenance(run: RunData) -> str:
     extended = run.record.get("extended")
     if isinstance(extended, list) and extended:
         items.append(("extended to deployments", ", ".join(map(str, extended))))
+    if isinstance(processors := run.record.get("processors"), list) and processors:
+        # Of another kind, the same description and seed come to other bits, and to other returns.
+        items.append(("processor", ", then ".join(map(str, processors))))
     if isinstance(resumed, list) and resumed:
         items.append(("resumed (pauses count as wall time)", ", ".join(map(_moment, resumed))))
     return html.section(
