@@ -6,6 +6,7 @@ from pathlib import Path
 from pydantic import BaseModel, FiniteFloat, ValidationError
 
 from otc_dist.description import Description
+from otc_dist.description.sections import SamplingSection
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
@@ -37,22 +38,34 @@ def find(folder: RunFolder, description: Description) -> Uniform | None:
     """Of the folders beside `folder` the first complete run of the same description and seed but
     with uniform sampling. What cannot be read there is passed over: it is not this run's.
     """
-    if description.sampling.name == NAME:
+    if _plain(description):
         return None
+    wanted = _apart_from_sampling(description)
     try:
-        wanted = description.with_assignments(f"sampling.name={NAME}").tuning_digest()
         beside = sorted(path for path in folder.root.resolve().parent.iterdir() if path.is_dir())
-    except (OSError, UserError):
+    except OSError:
         return None
     found = (_read(RunFolder(root), wanted) for root in beside if root != folder.root.resolve())
     return next((one for one in found if one is not None), None)
+
+
+def _plain(description: Description) -> bool:
+    """Whether all of B_k is drawn alike."""
+    return description.sampling.name == NAME and not description.sampling.online_share
+
+
+def _apart_from_sampling(description: Description) -> str:
+    """Digest of all else that a run's policies and deployments depend on."""
+    alike: dict[str, object] = {"summary": "", "sampling": SamplingSection()}
+    return description.model_copy(update=alike).tuning_digest()
 
 
 def _read(other: RunFolder, wanted: str) -> Uniform | None:
     try:
         if not other.results.is_file():
             return None
-        if Description.load(other.description).tuning_digest() != wanted:
+        theirs = Description.load(other.description)
+        if not _plain(theirs) or _apart_from_sampling(theirs) != wanted:
             return None
         results = _Results.model_validate_json(other.results.read_bytes())
     except (OSError, UserError, ValidationError):

@@ -106,10 +106,11 @@ def _more(run: RunData, changes: Sequence[Change], policy: int) -> list[str]:
         )
     if run.uniform is not None and policy in values:
         ahead = values[policy] - run.uniform.greedy_return
+        apart = f"{_plain(abs(ahead))} {'less' if ahead > 0 else 'more'}"
         found.append(
             f"Uniform sampling from the same offline policies ({run.uniform.folder}) recommends"
             f" pi_{run.uniform.policy}, which returns {_plain(run.uniform.greedy_return)}:"
-            f" {_plain(abs(ahead))} {'less' if ahead >= 0 else 'more'}."
+            f" {apart if ahead else 'as much'}."
         )
     return found + _of_data(run)
 

@@ -99,17 +99,21 @@ def test_a_run_with_uniform_sampling_beside_it_is_the_reference(made: MadeRun) -
     other.describe("sampling.name=uniform")
     report(other)
     assert read_run(other.folder).uniform is None  # it is the reference itself
+    made.describe("sampling.distance=value", "sampling.acceptance=rank")
     results, page = report(made)
     assert results["uniform"] == {"folder": "with-uniform", "policy": 1, "greedy_return": -10}
     assert "uniform sampling" in page.text
     assert (
         "Uniform sampling from the same offline policies (with-uniform) recommends pi_1, which"
-        " returns -10.0: 0.0 less."
+        " returns -10.0: as much."
     ) in [text.replace(MINUS, "-") for text in results["verdict"]["more"]]
-    # Not of another seed, nor one that is damaged.
-    other.describe("seed=6")
-    assert read_run(made.folder).uniform is None
-    other.describe("seed=5")
+    # Not of another seed or with half of each batch online, nor one that is damaged.
+    for assignment in ("seed=6", "sampling.online_share=0.5", "deployment.updates=7"):
+        before = other.description
+        other.describe(assignment)
+        assert read_run(made.folder).uniform is None
+        other.folder.description.write_text(before.to_toml())
+        other.description = before
     assert read_run(made.folder).uniform is not None
     other.folder.results.write_text('{"complete": true, "recommended": {"policy": "x"}}')
     assert read_run(made.folder).uniform is None
