@@ -1,7 +1,7 @@
 """`launch status RUN`: where a run stands, and how its processes are."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +18,6 @@ from .run_record import RunRecord
 from .vital_signs import ProcessState, Supervision
 
 _LATE = 5.0  # seconds without a word of the launcher's, after which it is said
-_COLUMNS = "{:10} {:>7} {:12} {:>8}  {:32} {:>17}"
 
 
 def main(argv: list[str]) -> int:
@@ -84,14 +83,21 @@ def _lines(folder: RunFolder, state: str, supervision: Supervision | None) -> It
         yield f"the launcher (process {supervision.launcher}) has said nothing for {silence:.0f} s"
     if supervision.seconds_left is not None:
         yield f"about {forecast.duration(supervision.seconds_left)} to go"
-    yield _COLUMNS.format("process", "pid", "health", "restarts", "does", "done")
-    for name, process in supervision.processes.items():
-        yield _row(name, process).rstrip()
+    yield from _table(supervision.processes)
 
 
-def _row(name: str, process: ProcessState) -> str:
-    does = place(Status(name, process.phase, process.deployment))
-    done = f"{process.done:,}/{process.of:,}" if process.of else ""
-    ended = f"  last: {process.last_end}" if process.last_end else ""
-    row = _COLUMNS.format(name, process.pid, process.health, process.restarts, does, done)
-    return row + ended
+def _table(processes: Mapping[str, ProcessState]) -> Iterator[str]:
+    """A line each, no wider than what they hold, and below it how one ended that began again."""
+    again = any(process.restarts for process in processes.values())
+    rows = [["process", "pid", "health", *["restarts"] * again, "does", "done"]]
+    for name, process in processes.items():
+        does = place(Status(name, process.phase, process.deployment))
+        done = f"{process.done:,}/{process.of:,}" if process.of else ""
+        restarts = [str(process.restarts)] * again
+        rows.append([name, str(process.pid), process.health, *restarts, does, done])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    ends = ["", *(process.last_end for process in processes.values())]
+    for row, end in zip(rows, ends, strict=True):
+        yield "  ".join(map(str.ljust, row, widths)).rstrip()
+        if end:
+            yield f"  its last end: {end}"
