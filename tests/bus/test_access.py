@@ -1,16 +1,17 @@
 """A learner's certificate opens its own keys, whatever is tried with it; nothing else does."""
 
 import json
+import queue
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
 from otc_dist import certs
 from otc_dist.bus.access import host_rules, router_rules
-from otc_dist.bus.endpoints import door
+from otc_dist.bus.endpoints import Door, door
 from otc_dist.bus.keys import HOST, OBSERVER
 from otc_dist.bus.links import QUICK_PAYLOAD, zenoh
 from otc_dist.bus.session import Session
@@ -58,6 +59,73 @@ def _shared() -> list[str]:
     return [KEYS.spec, KEYS.status(HOST), KEYS.alive(HOST)]
 
 
+@contextmanager
+def _router(folder: Path, endpoint: str, rules: dict[str, object]) -> Iterator[None]:
+    """Somebody else's router, with the rules that the command prints."""
+    config = zenoh.Config()
+    settings = {
+        "mode": "router",
+        "listen/endpoints": [endpoint],
+        "access_control": rules,
+        **door(endpoint, HOST, folder, insecure=False).settings,
+    }
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config):
+        yield
+
+
+@pytest.mark.parametrize("through", ["a router", "the env host", "the private socket"])
+def test_who_only_looks_hears_statuses_and_nothing_else(
+    folder: Path, endpoint: str, through: str
+) -> None:
+    at = f"tls/127.0.0.1:{free_port()}"
+    named = {name: door(at, name, folder, insecure=False) for name in (HOST, "agent_1", OBSERVER)}
+    with ExitStack() as closing:
+
+        def connected(where: Door) -> Session:
+            return closing.enter_context(Session.connect(where, QUICK_PAYLOAD, PATIENCE))
+
+        if through == "a router":
+            closing.enter_context(_router(folder, at, router_rules(KEYS, AGENTS)))
+            host = connected(named[HOST])
+        else:
+            doors, rules = [named[HOST], Door(endpoint)], host_rules(KEYS, AGENTS)
+            host = closing.enter_context(Session.listen(doors, QUICK_PAYLOAD, rules))
+        learner = connected(named["agent_1"])
+        observer = connected(Door(endpoint) if "socket" in through else named[OBSERVER])
+
+        heard: queue.Queue[bytes] = queue.Queue()
+        entered: list[bytes] = []
+        secret = [*(KEYS.observation(name) for name in AGENTS), KEYS.action("agent_1")]
+        for key in (*secret, *WIDE, KEYS.status(HOST), KEYS.status("agent_1")):
+            observer.subscribe(key, heard.put)
+        for key in (KEYS.action("agent_1"), KEYS.status("agent_1")):
+            host.subscribe(key, entered.append)
+        learner.subscribe(KEYS.observation("agent_1"), entered.append)
+        host.answer(KEYS.spec, lambda _: b"private")
+        forging = [observer.publisher(key) for key in sorted(EVERYTHING | OWN.keys)]
+        by_host = [host.publisher(KEYS.observation(name)) for name in AGENTS]
+        by_learner = [learner.publisher(KEYS.action("agent_1"))]
+        told = [host.publisher(KEYS.status(HOST)), learner.publisher(KEYS.status("agent_1"))]
+        # Links keep the order: what may be heard comes after all that may not.
+        awaited, found = {b"status 0", b"status 1"}, set()
+        end = time.monotonic() + PATIENCE
+        while not (awaited <= found and b"private" in entered) and time.monotonic() < end:
+            for put in forging:
+                put(b"forged")
+            for put in (*by_host, *by_learner):
+                put(b"private")
+            for number, put in enumerate(told):
+                put(b"status %d" % number)
+            with suppress(queue.Empty):
+                while True:
+                    found.add(heard.get(timeout=0.05))
+        assert found - {b"forged"} == awaited  # its own come back to it without a link
+        assert b"private" in entered and b"forged" not in entered
+        assert observer.ask(KEYS.spec, {}, timeout=0.5) is None
+
+
 def test_through_a_router_with_rules_passes_what_a_run_needs(folder: Path) -> None:
     """The rules are those that the command prints, put into somebody else's router."""
     endpoint = f"tls/127.0.0.1:{free_port()}"
@@ -67,16 +135,7 @@ def test_through_a_router_with_rules_passes_what_a_run_needs(folder: Path) -> No
         return closing.enter_context(Session.connect(at, QUICK_PAYLOAD, PATIENCE))
 
     with ExitStack() as closing:
-        config = zenoh.Config()
-        settings = {
-            "mode": "router",
-            "listen/endpoints": [endpoint],
-            "access_control": router_rules(KEYS, AGENTS),
-            **door(endpoint, HOST, folder, insecure=False).settings,
-        }
-        for key, value in settings.items():
-            config.insert_json5(key, json.dumps(value))
-        closing.enter_context(zenoh.open(config))
+        closing.enter_context(_router(folder, endpoint, router_rules(KEYS, AGENTS)))
         host, learner, observer = map(opened, (HOST, "agent_1", OBSERVER))
         arrived: set[str] = set()
 
