@@ -1,6 +1,7 @@
 """`launch status RUN`: where a run stands, and how its processes are."""
 
 import json
+import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -83,20 +84,31 @@ def _lines(folder: RunFolder, state: str, supervision: Supervision | None) -> It
         yield f"the launcher (process {supervision.launcher}) has said nothing for {silence:.0f} s"
     if supervision.seconds_left is not None:
         yield f"about {forecast.duration(supervision.seconds_left)} to go"
-    yield from _table(supervision.processes)
+    yield from _table(supervision.processes, shutil.get_terminal_size().columns)
 
 
-def _table(processes: Mapping[str, ProcessState]) -> Iterator[str]:
-    """A line each, no wider than what they hold, and below it how one ended that began again."""
-    again = any(process.restarts for process in processes.values())
-    rows = [["process", "pid", "health", *["restarts"] * again, "does", "done"]]
-    for name, process in processes.items():
-        does = place(Status(name, process.phase, process.deployment))
-        done = f"{process.done:,}/{process.of:,}" if process.of else ""
-        restarts = [str(process.restarts)] * again
-        rows.append([name, str(process.pid), process.health, *restarts, does, done])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    ends = ["", *(process.last_end for process in processes.values())]
+def _table(processes: Mapping[str, ProcessState], width: int) -> Iterator[str]:
+    """A line each, and below it how one ended that began again; in `width` characters, for which
+    the least telling columns are left out.
+    """
+    states = list(processes.values())
+    columns = {
+        "process": list(processes),
+        "pid": [str(state.pid) for state in states],
+        "health": [state.health for state in states],
+        "restarts": [str(state.restarts) for state in states],
+        "does": [place(Status(name, s.phase, s.deployment)) for name, s in processes.items()],
+        "done": [f"{s.done:,}/{s.of:,}" if s.of else "" for s in states],
+    }
+    if not any(state.restarts for state in states):
+        del columns["restarts"]
+    for spare in ("", "pid", "restarts", "health"):
+        columns.pop(spare, None)
+        widths = [max(map(len, (name, *cells))) for name, cells in columns.items()]
+        if sum(widths) + 2 * (len(widths) - 1) <= width:
+            break
+    ends = ["", *(state.last_end for state in states)]
+    rows = [tuple(columns), *zip(*columns.values(), strict=True)]
     for row, end in zip(rows, ends, strict=True):
         yield "  ".join(map(str.ljust, row, widths)).rstrip()
         if end:
