@@ -91,7 +91,7 @@ class DisturbedRun:
             return True
         if status != -signal.SIGKILL:  # which is ours
             if not self._forgiving or self._resumes == RESUMES:
-                raise StuckError(f"the launcher ended by itself, {status}: {self._last_line()}")
+                raise StuckError(f"the launcher ended by itself, {status}: {self._complaint()}")
             self._resumes += 1
         if self.folder.run_json.exists():
             self._launch("--resume", str(self.folder.root))
@@ -99,9 +99,11 @@ class DisturbedRun:
             self.start()
         return False
 
-    def _last_line(self) -> str:
+    def _complaint(self) -> str:
+        """What the launcher said was wrong; else its last line."""
         lines = self._output.read_text(encoding="utf-8", errors="replace").splitlines()
-        return lines[-1] if lines else "it printed nothing"
+        errors = [line for line in lines if line.startswith("error: ")]
+        return (errors or lines or ["it printed nothing"])[-1]
 
     @property
     def processes(self) -> dict[str, ProcessState]:
