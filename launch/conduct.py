@@ -96,6 +96,8 @@ def conduct(plan: Plan, record: RunRecord) -> int:
                 ledger.enter("failed")
                 print(go_on)
             return MISTAKE if mistake else 1
+        finally:
+            plan.place.leave(plan.folder.root)
     return 0
 
 

@@ -1,6 +1,7 @@
 """The processes of a run that this launcher keeps at work: started, watched, started again."""
 
 import time
+from pathlib import Path
 
 from otc_dist.bus.keys import HOST
 
@@ -40,6 +41,7 @@ class Crew:
         self.health = Health(self._commands, stuck_after, host_is_router=plan.place.host_is_router)
         self._due = dict.fromkeys(self._commands, 0.0)  # to be started -> when
         self._finished: set[str] = set()  # ended well
+        self._socket: Path | None = None  # of the bus, where the env host listens
         self._looked = time.monotonic()
 
     @property
@@ -52,6 +54,8 @@ class Crew:
         now = time.monotonic()
         for name in [name for name, when in self._due.items() if when <= now]:
             del self._due[name]
+            if name == HOST:
+                self._socket = self._plan.place.local_socket(self._plan.folder.root)
             self._supervisor.start(name, self._commands[name], self._plan.folder.output(name))
             self.health.started(name, self._supervisor.pid(name), now)
 
@@ -82,7 +86,10 @@ class Crew:
                 self.health.ended(end.process, now)
             else:
                 self._start_again(end, now)
-        for name, why in self.health.lost(now, processor_time, queued).items():
+        lost = self.health.lost(now, processor_time, queued)
+        if self._socket is not None and not self._socket.exists():
+            lost |= self.health.cut_off(f"has lost the bus's socket, {self._socket}")
+        for name, why in lost.items():
             self.health.events.append(f"{name}: {why}; killed")
             self._supervisor.kill(name)
         return self._finished

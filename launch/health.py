@@ -211,6 +211,18 @@ class Health:
             self.lives[name].condemned = why
         return found
 
+    def cut_off(self, why: str) -> dict[str, str]:
+        """The env host, as in `lost`, where nobody can come to it any more while it serves.
+
+        Links that are there hold, but who starts again would find nobody.
+        """
+        life = self.lives[HOST]
+        done = life.now is not None and life.now.phase == "done"
+        if life.state != "up" or done or life.condemned:
+            return {}
+        life.condemned = why
+        return {HOST: why}
+
     def _worth_telling(self, name: str, life: Life, clock: float) -> bool:
         """Whether its silence lasts, is its own, and is not that of a run which is over: then all
         take their tokens with them a moment before their ends show.

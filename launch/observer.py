@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from otc_dist.bus.diagnosis import absence
-from otc_dist.bus.endpoints import Door
+from otc_dist.bus.endpoints import Door, local_socket
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.messages import Status
 from otc_dist.bus.session import Session
@@ -47,10 +47,14 @@ Sign = Status | Token | Link  # of a process, or of the link by which one is hea
 
 @contextmanager
 def observing(plan: Plan, run: str, take: Callable[[Sign | Waiting], None]) -> Iterator[None]:
-    """While entered, call `take`, from other threads, with every sign of every process."""
-    over = threading.Event()
+    """While entered, call `take`, from other threads, with every sign of every process.
+
+    Raises:
+        UserError: there is no place for the bus of this machine, or no certificate.
+    """
+    over, door = threading.Event(), plan.place.observed_at(plan.folder.root)
     # A thread of its own, since the env host may take seconds before it listens.
-    listener = threading.Thread(target=_listen, args=(plan, run, take, over), daemon=True)
+    listener = threading.Thread(target=_listen, args=(plan, run, door, take, over), daemon=True)
     listener.start()
     try:
         yield
@@ -85,9 +89,12 @@ def _stranger(door: Door, run: str) -> str:
 
 
 def _listen(
-    plan: Plan, run: str, take: Callable[[Sign | Waiting], None], over: threading.Event
+    plan: Plan,
+    run: str,
+    door: Door,
+    take: Callable[[Sign | Waiting], None],
+    over: threading.Event,
 ) -> None:
-    door = plan.place.observed_at(plan.folder.root)
     maximum, processes = plan.description.bus.maximum_payload, (HOST, *plan.watched)
     keys = Keys(run, plan.description.shared_digest())
 
@@ -110,6 +117,9 @@ def _listen(
 
     while not over.is_set():
         try:
+            # A folder that has gone with somebody's clean-up may be made elsewhere.
+            door = plan.place.observed_at(plan.folder.root)
+            socket = local_socket(door.endpoint)
             session = Session.connect(door, maximum, timeout=_PATIENCE)
         except UserError:
             told = tell(linked=False)  # nobody listens yet
@@ -124,5 +134,7 @@ def _listen(
                 if session.linked != linked:
                     linked = not linked
                     take(Link(linked))
+                if not linked and socket is not None and not socket.exists():
+                    break
                 met = linked and (alive.is_set() or plan.place.role != "learner")
                 told = time.monotonic() if met else tell(linked)

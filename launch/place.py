@@ -2,12 +2,19 @@
 
 import argparse
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Self
 
 from otc_dist.bus.diagnosis import absence, refusal
-from otc_dist.bus.endpoints import Door, door, local_endpoint
+from otc_dist.bus.endpoints import (
+    Door,
+    door,
+    local_endpoint,
+    local_socket,
+    remove_local_endpoint,
+)
 from otc_dist.bus.keys import HOST, OBSERVER
 from otc_dist.description import Description
 from otc_dist.errors import UserError, unknown
@@ -148,6 +155,20 @@ class Place:
         if not self.connect:
             return Door(local_endpoint(run))
         return door(self.connect, self.agent or OBSERVER, self._folder, self.insecure)
+
+    def local_socket(self, run: Path) -> Path | None:
+        """The socket at which the env host listens for this machine; None: it does not.
+
+        Raises:
+            UserError: there is no place for one.
+        """
+        return None if self.connect else local_socket(local_endpoint(run))
+
+    def leave(self, run: Path) -> None:
+        """Remove what is left of the bus of this machine, once all its processes have ended."""
+        if not self.connect:
+            with suppress(UserError):
+                remove_local_endpoint(local_endpoint(run))
 
     @property
     def host_is_router(self) -> bool:

@@ -322,7 +322,8 @@ def main() -> None:
             EnvHost(run, session).serve(arguments.patience)
         finally:
             session.close()
-            remove_local_endpoint(run.local_door.endpoint)
+            if not arguments.connect:
+                remove_local_endpoint(run.local_door.endpoint)
 
     serve(body)
 

@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import FrameType
 from typing import Self
@@ -102,9 +103,9 @@ class Run:
         """The longest message, bytes."""
         return longest_message(self.description, self.team)
 
-    @property
+    @cached_property
     def local_door(self) -> Door:
-        """Where the bus is on one machine."""
+        """Where the bus is on one machine; the same as long as this process lives."""
         return Door(local_endpoint(self.folder.root))
 
 

@@ -4,8 +4,10 @@ import hashlib
 import os
 import re
 import shutil
+import socket
 import stat
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from otc_dist.errors import UserError
 SOCKET = "unixsock-stream/"
 TLS = "tls/"
 _LONGEST_SOCKET_PATH = 107  # bytes, of AF_UNIX, with room for Zenoh's suffix below
+_FOLDER, _NAME = ".bus", "bus"  # in a run's folder; the socket in that
 
 
 @dataclass(frozen=True)
@@ -77,31 +80,74 @@ def _check_host(host: str, endpoint: str) -> None:
 def local_endpoint(run: Path) -> str:
     """The endpoint of a run on one machine: a socket in a folder that only its user can enter.
 
-    The folder lies under $XDG_RUNTIME_DIR or the temporary directory, since a socket's path must
-    be short, and is named after a hash of the run folder's path. It is made if absent.
+    The folder lies in the run's own, which is there as long as the run is; or, where its path is
+    too long for a socket or its file system has none, in the temporary one, named after a hash of
+    the run folder's path. It is made if absent; all processes of a run on a machine find the same.
 
     Raises:
-        UserError: the folder is somebody else's, or the path is too long.
+        UserError: somebody else has made the folder, or there is no place for one.
     """
     digest = hashlib.sha256(str(run.resolve()).encode()).hexdigest()[:12]
-    base = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
-    folder = base / f"otc-{os.getuid()}-{digest}"
+    temporary = dict.fromkeys((Path(tempfile.gettempdir()), Path("/tmp")))
+    reasons = []
+    for folder in (run.resolve() / _FOLDER, *(t / f"{_prefix()}{digest}" for t in temporary)):
+        reason = _unfit(folder)
+        if not reason:
+            return f"{SOCKET}{folder / _NAME}"
+        reasons.append(f"{folder}: {reason}")
+    raise UserError(
+        "no folder for the bus's socket: set TMPDIR to one of yours with a short path"
+        f" ({'; '.join(reasons)})"
+    )
+
+
+def _prefix() -> str:
+    return f"otc-{os.getuid()}-"
+
+
+def _unfit(folder: Path) -> str:
+    """Make a folder for the bus's socket; why that cannot lie there, or nothing.
+
+    Raises:
+        UserError: others may enter the folder, or it is somebody else's.
+    """
+    if len(os.fsencode(folder / _NAME)) > _LONGEST_SOCKET_PATH - len(".lock"):
+        return "its path is too long"
     try:
-        folder.mkdir(mode=0o700, exist_ok=True)
+        with suppress(FileExistsError):
+            folder.mkdir(mode=0o700)
+            folder.chmod(0o700)  # whatever the umask
         status = folder.lstat()
+        theirs = status.st_uid != os.getuid()
+        if theirs and folder.name == _FOLDER:  # who reads another's run has a bus of his own
+            return "it is somebody else's"
+        # Bits beyond these may be inherited, as the setgid bit is.
+        if (
+            theirs
+            or not stat.S_ISDIR(status.st_mode)
+            or stat.S_IMODE(status.st_mode) & 0o777 != 0o700
+        ):
+            raise UserError(
+                f"{folder} must be a folder of yours with mode 0700; remove it, or set TMPDIR to a"
+                " folder that only you can enter"
+            )
+        with socket.socket(socket.AF_UNIX) as probe:
+            path = folder / f"{os.getpid()}"
+            probe.bind(str(path))
+            path.unlink()
     except OSError as error:
-        raise UserError(f"cannot make the bus's folder {folder}: {error.strerror}") from None
-    private = stat.S_ISDIR(status.st_mode) and stat.S_IMODE(status.st_mode) == 0o700
-    if not private or status.st_uid != os.getuid():
-        raise UserError(f"{folder} must be a folder of yours with mode 0700; remove it, or mend it")
-    socket = folder / "bus"
-    if len(os.fsencode(socket)) > _LONGEST_SOCKET_PATH - len(".lock"):
-        raise UserError(f"the socket path {socket} is too long; set a shorter TMPDIR")
-    return f"{SOCKET}{socket}"
+        return os.strerror(error.errno) if error.errno else str(error)
+    return ""
+
+
+def local_socket(endpoint: str) -> Path | None:
+    """The file of an endpoint that `local_endpoint` gave; None of others."""
+    path = Path(endpoint.removeprefix(SOCKET))
+    ours = path.parent.name == _FOLDER or path.parent.name.startswith(_prefix())
+    return path if endpoint.startswith(SOCKET) and path.name == _NAME and ours else None
 
 
 def remove_local_endpoint(endpoint: str) -> None:
     """Remove what `local_endpoint` made, once nobody listens; other endpoints are left alone."""
-    folder = Path(endpoint.removeprefix(SOCKET)).parent
-    if endpoint.startswith(SOCKET) and folder.name.startswith(f"otc-{os.getuid()}-"):
-        shutil.rmtree(folder, ignore_errors=True)
+    if (path := local_socket(endpoint)) is not None:
+        shutil.rmtree(path.parent, ignore_errors=True)

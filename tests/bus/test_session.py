@@ -5,7 +5,6 @@ import os
 import queue
 import signal
 import socket
-import stat
 import subprocess
 import sys
 import threading
@@ -17,7 +16,7 @@ import numpy as np
 import pytest
 
 from otc_dist.bus import handshake
-from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
+from otc_dist.bus.endpoints import Door
 from otc_dist.bus.handshake import agree, claim, offer
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
@@ -30,41 +29,6 @@ from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec
 
 PATIENCE = 20.0  # seconds; only a test that fails waits as long
-
-
-def _socket_folder(endpoint: str) -> Path:
-    return Path(endpoint.removeprefix("unixsock-stream/")).parent
-
-
-def test_the_local_endpoint_lies_in_a_private_folder_and_goes_away(tmp_path: Path) -> None:
-    endpoint = local_endpoint(tmp_path / ("long" * 50))
-    folder = _socket_folder(endpoint)
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    assert endpoint == local_endpoint(tmp_path / ("long" * 50))
-    assert endpoint != local_endpoint(tmp_path / "other")
-    remove_local_endpoint(endpoint)
-    remove_local_endpoint(local_endpoint(tmp_path / "other"))
-    assert not folder.exists()
-
-
-def test_a_folder_that_others_may_enter_is_refused(tmp_path: Path) -> None:
-    folder = _socket_folder(local_endpoint(tmp_path))
-    folder.chmod(0o755)
-    try:
-        with pytest.raises(UserError, match="mode 0700"):
-            local_endpoint(tmp_path)
-    finally:
-        folder.rmdir()
-
-
-def test_a_socket_path_that_is_too_long_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    long = tmp_path / ("x" * 100)
-    long.mkdir()
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
-    with pytest.raises(UserError, match="too long"):
-        local_endpoint(tmp_path)
 
 
 def test_a_used_port_is_one_clear_line() -> None:

@@ -1,14 +1,16 @@
 """The crew with real processes: started again when they die, given up when that is of no use."""
 
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from otc_dist.bus.keys import Uses
+from otc_dist.bus.keys import HOST, Uses
 from otc_dist.launch import descriptions, health
 from otc_dist.launch.crew import Crew, DiedError
+from otc_dist.launch.observer import Token
 from otc_dist.launch.place import Place
 from otc_dist.launch.plan import Plan, Process
 from otc_dist.launch.resolve import resolve
@@ -106,3 +108,25 @@ def test_a_host_that_starts_again_finds_the_learners_that_had_ended(
     work(crew)
     assert count(tmp_path / "host") == 2
     assert count(path) == 2
+
+
+def test_an_env_host_to_whom_nobody_can_come_any_more_is_started_again(
+    crew_of: Callable[..., Crew], tmp_path: Path
+) -> None:
+    """A clean-up has taken the folder of the bus's socket; the links that are there hold."""
+    path = tmp_path / "count"
+    listening = "import pathlib, sys\npathlib.Path(sys.argv.pop()).touch()\n" + COUNT
+    hangs = "import signal\nif count == 1: signal.pause()\n"
+    script = listening.replace("raise SystemExit", hangs + "raise SystemExit")
+    socket = tmp_path / ".bus" / "bus"
+    crew = crew_of(host=[script, str(path), "2", "1", str(socket)])
+    work(crew, until=socket.exists)
+    crew.take(Token(HOST, alive=True))
+    work(crew, until=lambda: path.exists() and count(path) == 1)
+    assert crew.drain_events() == []
+    shutil.rmtree(socket.parent)
+    work(crew)
+    assert count(path) == 2
+    assert crew.health.lives[HOST].last_end == (
+        f"was killed by SIGKILL, since it has lost the bus's socket, {socket}"
+    )

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from otc_dist import team
+from otc_dist.bus.endpoints import local_endpoint, local_socket, remove_local_endpoint
 from otc_dist.bus.keys import Keys
 from otc_dist.datasets import store
 from otc_dist.deployment_log.reader import read_steps
@@ -18,7 +19,7 @@ from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.learner import Learner
 
-from .conftest import AGENTS, PATIENCE, PROCESSES, Services, step_bytes
+from .conftest import AGENTS, PATIENCE, Services, step_bytes
 
 
 def _data_file(services: Services, agent: str, cache: Path | None = None) -> Path:
@@ -140,9 +141,11 @@ def test_everything_a_description_can_ask_for_runs_on_the_bus(
 
 
 def test_nothing_of_the_bus_stays_behind(finished: Services) -> None:
-    sockets = Path(os.environ.get("XDG_RUNTIME_DIR") or "/tmp")
-    opened = {p for name in PROCESSES for p in finished.record(name)["opened"]}
-    assert [p for p in opened if p.startswith(str(sockets / "otc-")) and Path(p).exists()] == []
+    assert not (finished.folder.root / ".bus").exists()
+    endpoint = local_endpoint(finished.folder.root)
+    socket = local_socket(endpoint)
+    assert socket is not None and not socket.exists()
+    remove_local_endpoint(endpoint)
 
 
 @pytest.mark.slow
