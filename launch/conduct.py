@@ -22,6 +22,7 @@ from .approve import waiting_lines
 from .board import TRAINING, Board
 from .closing import show_closing
 from .crew import MISTAKE, Crew, DiedError
+from .errands import StoppedError, run_errands
 from .forecast import Remaining
 from .keep import check_rewards
 from .ledger import Ledger
@@ -37,10 +38,6 @@ from .vital_signs import VitalSigns
 
 REFRESH = 0.5  # seconds between two looks at the statuses
 FAREWELL = 30.0  # seconds that the learners may take to end after the host has
-
-
-class _StoppedError(Exception):
-    """The user, or the system, asked the launcher to stop."""
 
 
 def conduct(plan: Plan, record: RunRecord) -> int:
@@ -67,13 +64,13 @@ def conduct(plan: Plan, record: RunRecord) -> int:
                 if record.state != "reporting":  # else all is done but the report
                     _work(plan, ledger, supervisor, signals, title)
                     ledger.enter("reporting")
-                _complete(plan, plan.conclusions, supervisor, signals)
+                _do(plan, plan.conclusions, supervisor, signals)
                 ledger.enter("finished")
             if plan.conclusions:
                 show_closing(plan.folder)
             else:
                 print(f"{title}: finished; the env host has the results")
-        except _StoppedError:
+        except StoppedError:
             assert signals.stop is not None
             ledger.enter("stopped")
             print(f"stopped by {signals.stop.name}; {go_on}")
@@ -118,7 +115,7 @@ def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, 
     """
     description, folder = plan.description, plan.folder
     ledger.note_inputs(inputs.sources(description), description)
-    _complete(plan, plan.preparations, supervisor, signals)
+    _do(plan, plan.preparations, supervisor, signals)
     ledger.note_inputs(inputs.data(description, plan.learners), description)
     if plan.place.role == "all":
         check_rewards(description, plan.learners)
@@ -139,19 +136,11 @@ def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, 
             _run(plan, ledger, supervisor, signals, view)
 
 
-def _complete(
+def _do(
     plan: Plan, commands: Mapping[str, tuple[str, ...]], supervisor: Supervisor, signals: Signals
 ) -> None:
     """Run commands one after the other, each to a good end, showing their progress."""
-    for name, command in commands.items():
-        supervisor.start(name, command, plan.folder.output(name), show_errors=True)
-        while name in supervisor.running:
-            if signals.stop:
-                raise _StoppedError
-            signals.wait(REFRESH)
-            for end in supervisor.ended():
-                if end.status != 0:  # its standard error was shown as it came
-                    raise DiedError(end, end.manner, told=end.status == MISTAKE)
+    run_errands(commands, plan.folder.output, supervisor, signals, plan.patience)
 
 
 def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, view: View) -> None:
@@ -186,7 +175,7 @@ def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, v
                         known.add(life.pid)
                         ledger.note_libraries(libraries(life.pid))
             if signals.stop:
-                raise _StoppedError
+                raise StoppedError
             finished = crew.look()
             board.events += crew.drain_events()
             if board.newest.get(HOST, Status(HOST)).phase != "approval":

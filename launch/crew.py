@@ -4,15 +4,14 @@ import time
 from pathlib import Path
 
 from otc_dist.bus.keys import HOST
+from otc_dist.kernel import processor_time, queued
 
 from .health import FROZEN_AFTER, Health
 from .observer import Link, Sign, Token
 from .plan import Plan
-from .supervisor import End, Supervisor, processor_time, queued
+from .supervisor import End, Supervisor
 
 MISTAKE = 2  # exit status of a process that met what only the user can mend
-# Of bus.answer_deadline: who stands still so long is started again, before the others give it up.
-_STUCK = 0.75
 
 
 class DiedError(Exception):
@@ -37,8 +36,8 @@ class Crew:
     def __init__(self, plan: Plan, supervisor: Supervisor) -> None:
         self._plan, self._supervisor = plan, supervisor
         self._commands = {process.name: process.command for process in plan.processes}
-        stuck_after = _STUCK * plan.description.bus.answer_deadline
-        self.health = Health(self._commands, stuck_after, host_is_router=plan.place.host_is_router)
+        router = plan.place.host_is_router
+        self.health = Health(self._commands, plan.patience, host_is_router=router)
         self._due = dict.fromkeys(self._commands, 0.0)  # to be started -> when
         self._finished: set[str] = set()  # ended well
         self._socket: Path | None = None  # of the bus, where the env host listens

@@ -21,6 +21,8 @@ from otc_dist.spec import TeamSpec
 from . import forecast
 from .place import Place
 
+# Of bus.answer_deadline: who stands still so long is started again, before the others give it up.
+_STUCK = 0.75
 # Bytes of one float32 number in a log, of one float64 of state; parameters in a checkpoint.
 _CHECKPOINT_BYTES = 2_000_000  # networks of Table 3's sizes, their targets and optimizers
 
@@ -47,6 +49,11 @@ class Plan:
     @property
     def parts(self) -> list[forecast.Part]:
         return forecast.parts(self.description, self.spec, len(self.learners))
+
+    @property
+    def patience(self) -> float:
+        """Seconds that a process may stand still when it is its turn."""
+        return _STUCK * self.description.bus.answer_deadline
 
     @property
     def learners(self) -> tuple[str, ...]:

@@ -142,23 +142,6 @@ class Supervisor:
         return ends + self.ended()
 
 
-def processor_time(pid: int) -> int | None:
-    """Nanoseconds of processor time of all threads of a process; None where nothing tells."""
-    try:
-        threads = list(Path(f"/proc/{pid}/task").iterdir())
-        return sum(int((thread / "schedstat").read_text().split()[0]) for thread in threads)
-    except (OSError, ValueError, IndexError):  # a thread may end meanwhile
-        return None
-
-
-def queued(pid: int) -> float:
-    """Seconds that a process's main thread was ready to run and others ran; 0 if nothing tells."""
-    try:
-        return int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) / 1e9
-    except (OSError, ValueError, IndexError):  # it may have ended
-        return 0.0
-
-
 def _signal_group(leader: int, number: signal.Signals) -> None:
     with contextlib.suppress(ProcessLookupError):  # all of it has ended already
         os.killpg(leader, number)

@@ -15,19 +15,15 @@ _LOOKS = 5  # somebody may only be looking whether it is held
 _PAUSE = 0.05  # seconds between two of them
 
 
-def take(file: int, path: Path, *, wait: bool = False) -> bool:
+def take(file: int, path: Path) -> bool:
     """Hold an open file, for writing, against all others; False if another process does.
 
     Where its file system has no locks, that is said in one line, and everybody holds it.
 
     Args:
-        wait: for as long as it takes.
         path: for the line.
     """
     try:
-        if wait:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            return True
         for look in range(_LOOKS):
             if look:
                 time.sleep(_PAUSE)

@@ -12,6 +12,7 @@ from otc_dist.printable import printable, say
 
 Report = Callable[[int, int], None]  # done, of how many
 
+_DRAW_EVERY = 0.1  # seconds between two drawings of a bar
 _LINE_EVERY = 10.0  # seconds between lines of progress where there is no terminal
 
 
@@ -35,14 +36,17 @@ def shown(doing: str, unit: str) -> Iterator[Report]:
             TextColumn("{task.completed:,.0f} of {task.total:,.0f}"),
             TimeRemainingColumn(),
         )
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = None
+        # Not drawn by a thread of its own: a process that stands still must be seen to do so.
+        with Progress(*columns, console=console, transient=True, auto_refresh=False) as bar:
+            task, drawn = None, -_DRAW_EVERY
 
             def draw(done: int, total: int) -> None:
-                nonlocal task
+                nonlocal task, drawn
                 if task is None:
                     task = bar.add_task(printable(doing), total=total)
-                bar.update(task, completed=done, total=total)
+                due = time.monotonic() - drawn >= _DRAW_EVERY or done == total
+                bar.update(task, completed=done, total=total, refresh=due)
+                drawn = time.monotonic() if due else drawn
 
             yield draw
         return

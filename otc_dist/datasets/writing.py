@@ -4,7 +4,9 @@ import errno
 import logging
 import os
 import shutil
+import socket
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,10 +29,14 @@ from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.names import DatasetName
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.kernel import thread_times
 from otc_dist.transitions import Float64
 
 _LOCK = ".lock"
 _STAGING = ".making-"  # a set that is being written; never read
+_LOOK = 0.2  # seconds between two attempts to lock what another process is making
+_TELL_EVERY = 30.0  # seconds between two lines that say so
+_PATIENCE = 60.0  # seconds that the other may do nothing at all
 
 _log = logging.getLogger(__name__)
 
@@ -61,7 +67,7 @@ def locked(name: DatasetName) -> Iterator[None]:
     """Be the only process that writes sets of that name; a process that ends gives it free.
 
     Raises:
-        UserError: the cache cannot be written or locked.
+        UserError: the cache cannot be written or locked, or who holds the lock stands still.
     """
     folder = name.folder
     with _disk_errors(folder):
@@ -69,14 +75,50 @@ def locked(name: DatasetName) -> Iterator[None]:
         handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         with _disk_errors(folder):
-            if not locks.take(handle, folder / _LOCK):
-                _log.warning("another process is making %s; waiting for it", name)
-                locks.take(handle, folder / _LOCK, wait=True)
+            _wait_for(handle, name)
         for left_behind in folder.glob(f"{_STAGING}*"):  # by a process that was killed
             shutil.rmtree(left_behind, ignore_errors=True)
         yield
     finally:
         os.close(handle)
+
+
+def _wait_for(handle: int, name: DatasetName) -> None:
+    """Lock the open file, and write into it who holds it now.
+
+    Raises:
+        UserError: its holder stands still.
+    """
+    waits = False
+    while not locks.take(handle, name.folder / _LOCK):
+        holder = _holder(handle)
+        now, used = time.monotonic(), thread_times(holder) if holder else frozenset()
+        if not waits:
+            waits, told, moved, before = True, now, now, used
+            _log.warning("%s is making %s; waiting for it", _named(holder), name)
+        if used != before or not holder or not thread_times(os.getpid()):  # or nothing is known
+            moved, before = now, used
+        if now - moved > _PATIENCE:
+            raise UserError(
+                f"{_named(holder)}, which is making {name}, has done nothing for {_PATIENCE:g} s:"
+                f" end it (kill {holder}), and try again"
+            )
+        if now - told > _TELL_EVERY:
+            told = now
+            _log.warning("%s is still making %s", _named(holder), name)
+        time.sleep(_LOOK)
+    os.ftruncate(handle, 0)
+    os.pwrite(handle, f"{os.getpid()} {socket.gethostname()}\n".encode(), 0)
+
+
+def _holder(handle: int) -> int:
+    """Process id of who has written itself into the lock file; 0 if it is not on this machine."""
+    pid, _, host = os.pread(handle, 300, 0).decode(errors="replace").strip().partition(" ")
+    return int(pid) if host == socket.gethostname() and pid.isdecimal() else 0
+
+
+def _named(pid: int) -> str:
+    return f"process {pid}" if pid else "another process"
 
 
 def publish(
