@@ -19,10 +19,12 @@ from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
 from . import forecast
+from .deadline import within
 from .place import Place
 
 # Of bus.answer_deadline: who stands still so long is started again, before the others give it up.
 _STUCK = 0.75
+_ASKING = 60.0  # seconds that a user's environment may take at least to tell of its agents
 # Bytes of one float32 number in a log, of one float64 of state; parameters in a checkpoint.
 _CHECKPOINT_BYTES = 2_000_000  # networks of Table 3's sizes, their targets and optimizers
 
@@ -165,13 +167,24 @@ def _conditions(deployment: DeploymentSection) -> Iterator[str]:
         yield "a person approves each deployment"
 
 
+def team_of(description: Description) -> TeamSpec:
+    """The team of a description, of a user's environment as well.
+
+    Raises:
+        UserError: an unknown environment, or a user's that does not tell in time.
+    """
+    patience = max(_ASKING, description.bus.answer_deadline)
+    with within(patience, f"asking {description.env.id} for its agents"):
+        return registry.team_spec(description.env.id)
+
+
 def make(description: Description, folder: RunFolder, run: str, place: Place) -> Plan:
     """The plan of a resolved description, `run` being its name on the bus.
 
     Raises:
         UserError: an unknown environment.
     """
-    spec = registry.team_spec(description.env.id)
+    spec = team_of(description)
     keys = Keys(run, description.shared_digest())
 
     def process(name: str) -> Process:

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+import time
 
 from otc_dist.datasets.names import DatasetName
 from otc_dist.description import Description
@@ -11,6 +12,10 @@ from otc_dist.envs import registry
 from otc_dist.errors import UserError
 
 from .keep import settled
+from .standstill import Standstill
+from .supervisor import die_with_parent
+
+_LOOK = 0.5  # seconds between two looks at who was asked
 
 # In a process of its own: importing torch takes seconds and memory that the launcher never needs.
 _ASK_ENGINE = """
@@ -84,14 +89,34 @@ def _engine(description: Description) -> str:
     name = description.engine.name
     if name == "eager":  # runs everywhere
         return name
-    asked = subprocess.run(
+    with subprocess.Popen(
         [sys.executable, "-c", _ASK_ENGINE, name, str(total_updates(description))],
         stdin=subprocess.DEVNULL,
-        capture_output=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
         text=True,
-        check=False,
-    )
+        process_group=0,
+        preexec_fn=die_with_parent(),
+    ) as asked:
+        try:
+            chosen, errors = _heard(asked, description.bus.answer_deadline)
+        finally:
+            asked.kill()
     if asked.returncode != 0:
-        lines = asked.stderr.strip().splitlines() or ["no output"]
+        lines = errors.strip().splitlines() or ["no output"]
         raise UserError(f"cannot choose an engine: {lines[-1].removeprefix('error: ')}")
-    return asked.stdout.strip()
+    return chosen.strip()
+
+
+def _heard(asked: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
+    """What a process printed to its end. Raises UserError if it stands still before."""
+    standstill = Standstill(asked.pid, patience)
+    while True:
+        try:
+            return asked.communicate(timeout=_LOOK)
+        except subprocess.TimeoutExpired:
+            if why := standstill.look(time.monotonic()):
+                raise UserError(
+                    f"cannot choose an engine: the process that was asked {why}; try again, or"
+                    " say it: --set engine.name=eager"
+                ) from None

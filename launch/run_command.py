@@ -9,7 +9,6 @@ from pathlib import Path
 from otc_dist import user_code
 from otc_dist.comparison import arms, meanings
 from otc_dist.description import Description
-from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.parser import Parser
 from otc_dist.printable import say
@@ -86,7 +85,7 @@ def _check(given: Mapping[str, str]) -> None:
 def _start(arguments: argparse.Namespace) -> int:
     quick: bool = arguments.quick
     chosen = descriptions.load(arguments.description, arguments.set, arguments.seed, quick)
-    team = registry.team_spec(chosen.env.id)
+    team = plan.team_of(chosen)
     if arguments.origin is not None and arguments.role:
         raise UserError("--from is for a run whose processes are all on one machine")
     if arguments.hosts is not None:

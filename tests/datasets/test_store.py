@@ -2,13 +2,14 @@
 
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 from safetensors.numpy import load_file
 
-from otc_dist.datasets import store
+from otc_dist.datasets import store, writing
 from otc_dist.datasets.card import DatasetCard
 from otc_dist.envs import registry
 from otc_dist.envs.robot_specs import PARTITIONS
@@ -159,6 +160,38 @@ def test_processes_that_want_the_same_set_at_once_make_it_once(cache: Path) -> N
     assert [process.returncode for process in processes] == [0, 0, 0]
     assert len({output for output, _ in results}) == 1
     assert sum(f"{SIZE:,} of {SIZE:,} transitions" in errors for _, errors in results) == 1
+
+
+HOLD = """
+import sys, time
+from otc_dist.datasets.names import DatasetName
+from otc_dist.datasets.writing import locked
+with locked(DatasetName.parse(sys.argv[1])):
+    print("held", flush=True)
+    {}
+"""
+
+
+@pytest.mark.parametrize("holder", ["sys.stdin.read()", "while True: pass"])
+def test_who_waits_for_a_set_says_for_whom_and_gives_up_if_that_one_stands_still(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, holder: str
+) -> None:
+    monkeypatch.setattr(writing, "_PATIENCE", 1.0)
+    monkeypatch.setattr(writing, "_TELL_EVERY", 0.5)
+    command = [sys.executable, "-c", HOLD.format(holder), NAME]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as held:
+        try:
+            assert held.stdout is not None and held.stdout.readline() == b"held\n"
+            if "pass" in holder:  # it works: it is waited for until it ends
+                threading.Timer(2.5, held.kill).start()
+                store.ensure(NAME, SIZE)
+                assert f"process {held.pid} is still making {NAME}" in caplog.text
+            else:
+                with pytest.raises(UserError, match=rf"process {held.pid}, .* has done nothing"):
+                    store.ensure(NAME, SIZE)
+            assert f"process {held.pid} is making {NAME}; waiting for it" in caplog.text
+        finally:
+            held.kill()
 
 
 LIMITED = """

@@ -15,7 +15,7 @@ from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_files
 from otc_dist.description import Description
 from otc_dist.errors import UserError, run_main
-from otc_dist.launch import comparison_jobs, descriptions, new_folder, run_record
+from otc_dist.launch import comparison_jobs, descriptions, new_folder, plan, run_record
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.place import Place
 from otc_dist.launch.resolve import resolve
@@ -124,6 +124,26 @@ def test_a_full_disk_is_noticed_before_the_start(tmp_path: Path) -> None:
 
 def _tiny() -> Description:
     return descriptions.load("3agent_hopper", SHORT[1::2], None, quick=False)
+
+
+def test_an_engine_that_is_asked_for_and_does_not_answer_is_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("otc_dist.launch.resolve._ASK_ENGINE", "import signal\nsignal.pause()")
+    changes = ["engine.name=auto", "bus.answer_deadline=1.0"]
+    with pytest.raises(UserError, match="has done nothing for 1 s; try again, or say it: --set"):
+        resolve(descriptions.load("navigation", changes, None, True))
+
+
+def test_a_user_s_environment_that_hangs_when_it_is_asked_for_its_agents_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "hangs_at_once.py").write_text("import signal\nsignal.pause()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("otc_dist.launch.plan._ASKING", 0.5)
+    changes = ["env.id=hangs_at_once:make", "dataset.name=random", "bus.answer_deadline=0.5"]
+    with pytest.raises(UserError, match=r"asking hangs_at_once:make for .* longer than 0.5 s"):
+        plan.team_of(descriptions.load("navigation", changes, None, True))
 
 
 @pytest.fixture
