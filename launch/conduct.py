@@ -67,7 +67,7 @@ def conduct(plan: Plan, record: RunRecord) -> int:
                 _do(plan, plan.conclusions, supervisor, signals)
                 ledger.enter("finished")
             if plan.conclusions:
-                show_closing(plan.folder)
+                _close(plan, title)
             else:
                 print(f"{title}: finished; the env host has the results")
         except StoppedError:
@@ -78,8 +78,6 @@ def conduct(plan: Plan, record: RunRecord) -> int:
         except UserError:
             if not _gone(plan, record):
                 ledger.enter("failed")
-            raise
-        except BrokenPipeError:  # of standard output, not of the run
             raise
         except OSError as error:
             with suppress(OSError):
@@ -104,6 +102,14 @@ def _gone(plan: Plan, record: RunRecord) -> bool:
     Returns whether it is gone; if not, the run can be gone on with.
     """
     return not record.resumed and take_away(plan.folder.root, origin=record.origin is not None)
+
+
+def _close(plan: Plan, title: str) -> None:
+    """Print the last lines of a run that is finished, whatever becomes of that."""
+    try:
+        show_closing(plan.folder)
+    except Exception as error:  # what they tell is in the report as well
+        print(f"{title}: finished ({type(error).__name__}: {error}); report: {plan.folder.report}")
 
 
 def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, title: str) -> None:

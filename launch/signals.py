@@ -13,6 +13,8 @@ STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 class Signals:
     """While entered, SIGINT, SIGTERM and SIGHUP are noted in `stop` instead of raising anywhere.
 
+    SIGHUP stays ignored where it is, as under nohup: that run goes on without its terminal.
+
     An exception out of a handler could fall between starting a child and noting that it runs,
     and the child would be orphaned; a note cannot.
     """
@@ -24,7 +26,11 @@ class Signals:
     def __enter__(self) -> Self:
         self._read, self._write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._old_fd = signal.set_wakeup_fd(self._write, warn_on_full_buffer=False)
-        self._old = {number: signal.signal(number, self._note) for number in STOPPING}
+        self._old = {
+            number: signal.signal(number, self._note)
+            for number in STOPPING
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN
+        }
         # A handler, even an empty one, makes a child's end wake `wait`.
         self._old[signal.SIGCHLD] = signal.signal(signal.SIGCHLD, lambda *_: None)
         return self

@@ -1,6 +1,8 @@
 """What the user sees while a run goes: a live table on a terminal, lines otherwise."""
 
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol, Self
 
 from rich.console import Console
@@ -37,8 +39,40 @@ class View(Protocol):
 
 
 def open_view(title: str) -> View:
-    """A live view on a terminal, plain lines otherwise."""
-    return TableView(title) if redraws(Console()) else LineView()
+    """A live view on a terminal, plain lines otherwise; neither ends what it shows by failing."""
+    return CarefulView(TableView(title) if redraws(Console()) else LineView())
+
+
+class CarefulView:
+    """Shows by another view; where that fails, it says so and shows lines, and at last nothing."""
+
+    def __init__(self, view: View) -> None:
+        self._view: View | None = view
+
+    def __enter__(self) -> Self:
+        self._do(lambda view: view.__enter__())
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self._do(lambda view: view.__exit__(*failure))
+
+    def say(self, line: str) -> None:
+        self._do(lambda view: view.say(line))
+
+    def show(self, board: Board) -> None:
+        self._do(lambda view: view.show(board))
+
+    def _do(self, what: Callable[[View], object]) -> None:
+        failed = self._view
+        if failed is None:
+            return
+        try:
+            what(failed)
+        except Exception as error:  # whatever a library that draws may raise
+            with suppress(Exception):
+                failed.__exit__()
+            self._view = None if isinstance(failed, LineView) else LineView()
+            self.say(f"the table cannot be drawn ({type(error).__name__}: {error}): lines follow")
 
 
 class LineView:

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterable
 from typing import NoReturn
 
+from otc_dist import output
 from otc_dist.printable import printable, say
 
 
@@ -34,6 +35,7 @@ def told(error: OSError) -> str:
 
 def run_main(main: Callable[[list[str]], int]) -> None:
     """Run a command's `main(argv)` and exit: one clear line and status 2 for a UserError."""
+    output.steady()
     try:
         status = main(sys.argv[1:])
     except UserError as error:
@@ -41,9 +43,6 @@ def run_main(main: Callable[[list[str]], int]) -> None:
         status = 2
     except KeyboardInterrupt:
         status = 130
-    except BrokenPipeError:  # the reader of our output (`| head`) has gone
-        sys.stderr.close()
-        status = 141
     except OSError as error:  # a folder that cannot be read or written, a full disk
         say(printable(f"error: {told(error)}"), file=sys.stderr)
         status = 2

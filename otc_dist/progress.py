@@ -21,8 +21,11 @@ def silent(done: int, total: int) -> None:
 
 
 def redraws(console: Console) -> bool:
-    """Whether what is shown there can be drawn over: a terminal, and none that is called dumb."""
-    return console.is_terminal and not console.is_dumb_terminal
+    """Whether what is shown there can be drawn over: a terminal, and none that is called dumb.
+
+    Whatever FORCE_COLOR says, by which rich takes a file for a terminal.
+    """
+    return console.file.isatty() and not console.is_dumb_terminal
 
 
 @contextmanager

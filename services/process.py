@@ -12,7 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Self
 
-from otc_dist import user_code
+from otc_dist import output, user_code
 from otc_dist.bus.agreement import copies_by_phase, longest_message, run_spec
 from otc_dist.bus.endpoints import Door, door, local_endpoint
 from otc_dist.bus.keys import Keys
@@ -29,6 +29,9 @@ from otc_dist.run_folder import RunFolder
 from otc_dist.spec import TeamSpec
 
 log = logging.getLogger(__name__)
+
+
+_ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 class FailureError(Exception):
@@ -155,11 +158,14 @@ def door_at(endpoint: str, process: str, arguments: argparse.Namespace) -> Door:
 def serve(body: Callable[[], None]) -> None:
     """Run a service to its end and exit: 0 done, 2 the user's mistake, 1 a failure, 128 + signal.
 
-    SIGTERM and SIGINT end it in order: what is open is closed, what was recorded stays.
+    SIGTERM, SIGINT and SIGHUP, unless that is ignored (nohup), end it in order: what is open is
+    closed, what was recorded stays.
     """
+    output.steady()
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, _stop)
+    for number in _ENDING:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _stop)
     try:
         body()
         status = 0
@@ -179,6 +185,6 @@ def serve(body: Callable[[], None]) -> None:
 
 
 def _stop(number: int, _: FrameType | None) -> None:
-    for other in (signal.SIGTERM, signal.SIGINT):
+    for other in _ENDING:
         signal.signal(other, signal.SIG_IGN)  # closing is under way; it takes seconds at most
     raise _StoppedError(number)

@@ -11,7 +11,7 @@ from otc_dist.launch import descriptions, forecast
 from otc_dist.launch.board import Board
 from otc_dist.launch.forecast import Part, Remaining
 from otc_dist.launch.resolve import resolve
-from otc_dist.launch.view import LineView, TableView
+from otc_dist.launch.view import CarefulView, LineView, TableView
 
 RUN = [Part("offline", 0, 100.0), Part("deployment", 1, 10.0), Part("tuning", 1, 90.0)]
 
@@ -171,3 +171,46 @@ def test_a_plan_s_parts_cover_the_run_in_order() -> None:
 @pytest.mark.parametrize(("seconds", "shown"), [(0, "0:00"), (65, "1:05"), (3725.4, "1:02:05")])
 def test_durations(seconds: float, shown: str) -> None:
     assert forecast.duration(seconds) == shown
+
+
+class _Broken(LineView):
+    """A view that draws once, and then fails, as a library may."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shown, self.left = 0, 0
+
+    def show(self, board: Board) -> None:
+        self.shown += 1
+        if self.shown > 1:
+            raise ZeroDivisionError("no room")
+
+    def __exit__(self, *failure: object) -> None:
+        self.left += 1
+
+
+class _BrokenTable(TableView):
+    def show(self, board: Board) -> None:
+        raise ZeroDivisionError("no room")
+
+
+def test_a_view_that_fails_is_followed_by_lines_and_ends_nothing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    seen = board()
+    seen.events.append("agent_0: offline")
+    with CarefulView(_BrokenTable("3agent_hopper")) as view:
+        view.show(seen)
+        view.show(seen)
+    told = capsys.readouterr().out
+    assert "the table cannot be drawn (ZeroDivisionError: no room): lines follow" in told
+    assert "agent_0: offline" in told
+
+
+def test_where_not_even_lines_can_be_shown_nothing_is() -> None:
+    broken = _Broken()
+    with CarefulView(broken) as view:
+        for _ in range(3):
+            view.show(board())
+        view.say("a line")
+    assert (broken.shown, broken.left) == (2, 1)

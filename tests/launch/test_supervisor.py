@@ -1,6 +1,7 @@
 """The supervisor with real processes. A FIFO that they hold open tells when all have ended."""
 
 import os
+import pty
 import select
 import signal
 import subprocess
@@ -139,4 +140,43 @@ with Signals() as signals, Supervisor(signals) as supervisor:
     with subprocess.Popen(_python(launcher, DEAF, fifo.path)) as process:
         fifo.wait_for(1)
         process.kill()
+    fifo.wait_for_end()
+
+
+HANGS_UP = """
+import os, pathlib, signal, sys
+from otc_dist import output
+from otc_dist.launch.signals import Signals
+from otc_dist.launch.supervisor import Supervisor
+output.steady()
+if sys.argv[3] == "nohup":
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+with Signals() as signals, Supervisor(signals) as supervisor:
+    supervisor.start("child", [sys.executable, "-c", sys.argv[1], sys.argv[2]])
+    while not signals.stop:
+        signals.wait(600)
+print("stopped by", signals.stop.name, flush=True)  # to nobody
+supervisor.stop()
+pathlib.Path(sys.argv[4]).write_text(signals.stop.name)
+"""
+
+
+@pytest.mark.parametrize("how", ["nohup", "login"])
+def test_a_terminal_that_vanishes_ends_what_it_started_in_order_unless_hangups_are_ignored(
+    fifo: Fifo, tmp_path: Path, how: str
+) -> None:
+    """The kernel sends SIGHUP to who leads the session, as for a launcher typed into `ssh -t`."""
+    pid, terminal = pty.fork()
+    if pid == 0:
+        command = _python(HANGS_UP, FAMILY, fifo.path, how, str(tmp_path / "stopped"))
+        os.execv(command[0], command)
+    fifo.wait_for(2)
+    os.close(terminal)
+    if how == "nohup":
+        handle = os.pidfd_open(pid)
+        assert select.select([handle], [], [], 1.0)[0] == [], "the hangup ended it"
+        os.close(handle)
+        os.kill(pid, signal.SIGTERM)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    assert (tmp_path / "stopped").read_text() == ("SIGTERM" if how == "nohup" else "SIGHUP")
     fifo.wait_for_end()
