@@ -1,5 +1,6 @@
 """Whatever happens to messages and processes, the run ends with the same bytes."""
 
+import json
 import os
 import signal
 import socket
@@ -66,6 +67,28 @@ def test_a_checkpoint_that_the_disk_damages_is_made_again_before_its_learner_lea
     assert set(run.wait_all().values()) == {0}, run.output("host")
     assert run.result() == undisturbed.result()
     assert f"checkpoint_0{k}.safetensors is corrupt: it and what follows" in run.output("agent_1")
+
+
+def test_a_policy_that_another_kind_of_processor_trained_again_goes_on(
+    run: Services, tmp_path: Path
+) -> None:
+    """The run has been told of: where none has, it would be a fault of ours."""
+    record = json.loads(run.folder.run_json.read_text())
+    run.folder.run_json.write_text(json.dumps({**record, "processors": ["one", "another"]}))
+    gate = tmp_path / "gate"
+    os.mkfifo(gate)
+    run.start("host", hold=["deployment", 1, 10, str(gate)])
+    for agent in AGENTS:
+        run.start(agent, stub=True)
+    run.wait_for_file(partial_path(run.folder.deployment(1)))
+    run.stop("agent_1", signal.SIGKILL)
+    run.folder.checkpoint("agent_1", 0).unlink()
+    run.start("agent_1", stub="elsewhere")
+    gate.open("w").close()
+    assert set(run.wait_all().values()) == {0}, run.output("host")
+    told = run.output("host")
+    assert "than it began deployment 1 with" in told and "on this kind of processor" in told
+    assert "did not repeat itself" not in told
 
 
 @pytest.mark.parametrize("moment", MOMENTS)

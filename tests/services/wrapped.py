@@ -3,7 +3,8 @@
     python wrapped.py RECORD.json FAULTS.json env_host --run DIR ...
 
 Faults, all optional:
-    stub        the learner's brain is the small one below, without torch
+    stub        the learner's brain is the small one below, without torch; "elsewhere": as another
+                kind of processor trains it
     drop        every message is lost the first so many times
     delay       every message waits up to so many seconds, from a generator seeded by the process
     kill        [phase, deployment, step]: SIGKILL itself instead of publishing its message of then
@@ -32,7 +33,7 @@ from pathlib import Path
 import msgpack
 
 
-def _stub() -> types.ModuleType:
+def _stub(where: str) -> types.ModuleType:
     """A brain that acts and learns in microseconds, by all that it has seen, to the bit."""
     import numpy as np
 
@@ -54,7 +55,7 @@ def _stub() -> types.ModuleType:
     class Learner:
         def __init__(self, description, spec, data, task, place) -> None:  # type: ignore[no-untyped-def]
             self.tuned, self._spec, self._expected = -1, spec, 0
-            self._state = digest(spec.name.encode(), data.observations.tobytes())
+            self._state = digest(spec.name.encode(), data.observations.tobytes(), where.encode())
 
         def _seen(self, data) -> bytes:  # type: ignore[no-untyped-def]
             return digest(*(getattr(data, f).tobytes() for f in data.__dataclass_fields__))
@@ -212,7 +213,7 @@ def main() -> None:
             module.PROTOCOL_VERSION = faults["version"]  # type: ignore[attr-defined]
     _instrument(faults, keys)
     if faults.get("stub"):
-        sys.modules["otc_dist.learner"] = _stub()
+        sys.modules["otc_dist.learner"] = _stub(str(faults["stub"]))
     if "full_disk" in faults:
         _fill_disk(faults["full_disk"])
     runpy.run_module(f"otc_dist.services.{service}", run_name="__main__", alter_sys=True)
