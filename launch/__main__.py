@@ -1,28 +1,21 @@
-"""`python -m otc_dist.launch`: the first word may name a command; without one, it is `run`."""
+"""`python -m otc_dist.launch`: the first word may name a command; without one, a run is begun."""
 
 import importlib
 
+from otc_dist.commands import COMMANDS, OF_LAUNCH
 from otc_dist.errors import run_main, unknown
 
-# Command -> the module beside this one whose `main(argv)` it is; imported only when asked for.
-COMMANDS = {
-    "run": ".run_command",
-    "compare": ".compare",
-    "mechanism": ".mechanism",
-    "status": ".status",
-    "approve": ".approve",
-    "chaos": ".chaos",
-}
+RUN = "run"  # the word for what is done without one
 
 
 def main(argv: list[str]) -> int:
     """Run a command; returns the exit status. Raises UserError for the user's mistakes."""
-    command = argv[0] if argv and argv[0] in COMMANDS else "run"
-    words = argv[:2]
-    if len(words) == 2 and words[0] not in COMMANDS and not any(w.startswith("-") for w in words):
-        raise unknown("command", argv[0], COMMANDS)  # a description stands alone
-    arguments = argv[1:] if argv and argv[0] == command else argv
-    status: int = importlib.import_module(COMMANDS[command], __package__).main(arguments)
+    words = (*OF_LAUNCH, RUN)
+    named = bool(argv) and argv[0] in words
+    if len(argv) > 1 and not named and not any(word.startswith("-") for word in argv[:2]):
+        raise unknown("command", argv[0], words)  # a description stands alone
+    command = OF_LAUNCH.get(argv[0], COMMANDS["launch"]) if named else COMMANDS["launch"]
+    status: int = importlib.import_module(command.parser).main(argv[1:] if named else argv)
     return status
 
 

@@ -12,19 +12,24 @@ from otc_dist.run_folder import RunFolder
 from .run_record import RunRecord
 
 
-def main(argv: list[str]) -> int:
-    """Approve it. Returns the exit status.
-
-    Raises:
-        UserError: not a run's folder, nothing waits there, or it cannot be written.
-    """
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.launch approve",
         description="Let the deployment begin for which a run waits (deployment.approve).",
         allow_abbrev=False,
     )
     parser.add_argument("run", type=Path, help="the run folder, on the machine of the env host")
-    folder = RunFolder(parser.parse_args(argv).run.resolve())
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Approve it. Returns the exit status.
+
+    Raises:
+        UserError: not a run's folder, nothing waits there, or it cannot be written.
+    """
+    folder = RunFolder(command_line().parse_args(argv).run.resolve())
     RunRecord.read(folder)  # a folder without a record is not a run's
     told = waiting(folder)
     if told is None:

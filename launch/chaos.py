@@ -1,6 +1,5 @@
 """`launch chaos`: break runs in every way, and compare what they end with to an undisturbed run."""
 
-import argparse
 import random
 import shutil
 import statistics
@@ -66,7 +65,7 @@ def main(argv: list[str]) -> int:
     Raises:
         UserError: an unknown fault, or no folder can be made at --out.
     """
-    arguments = _parser().parse_args(argv)
+    arguments = command_line().parse_args(argv)
     wanted = _wanted(arguments.faults)
     chaos_arena.enter()
     out: Path = (arguments.out or Path(tempfile.mkdtemp(prefix="otc-chaos-"))).resolve()
@@ -206,7 +205,8 @@ def _wanted(given: list[str]) -> dict[str, int]:
     return wanted or WHOLE
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.launch chaos",
         description=_EXPLANATION,

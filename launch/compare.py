@@ -38,7 +38,7 @@ def main(argv: list[str]) -> int:
     Raises:
         UserError: anything the user can mend: one line, status 2.
     """
-    parser = _parser()
+    parser = command_line()
     arguments = parser.parse_args(argv)
     if arguments.picture is not None and arguments.tables is None:
         raise UserError("--picture draws what --tables shows: give both")
@@ -156,7 +156,8 @@ def _conclude(
     print(f"report: {folder.report}\n", flush=True)
 
 
-def _parser() -> Parser:
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.launch compare",
         description=_EXPLANATION,

@@ -1,6 +1,5 @@
 """`launch mechanism NAME`: do the transitions that OTC selects follow the online dynamics?"""
 
-import argparse
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -31,7 +30,7 @@ def main(argv: list[str]) -> int:
     Raises:
         UserError: anything the user can mend: one line, status 2.
     """
-    arguments = _parser().parse_args(argv)
+    arguments = command_line().parse_args(argv)
     user_code.allow(*arguments.allow)
     seeds = arms_of.parse_seeds(arguments.seeds)
     quick: bool = arguments.quick
@@ -74,7 +73,8 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.launch mechanism", description=_EXPLANATION, allow_abbrev=False
     )

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from otc_dist import user_code
+from otc_dist.commands import OF_LAUNCH, lines
 from otc_dist.comparison import arms, meanings
 from otc_dist.description import Description
 from otc_dist.errors import UserError
@@ -27,8 +28,6 @@ INSECURE = (
     " endpoint can read this run, act in it and end it"
 )
 
-_OTHERS = "Other commands, with their own --help: compare, mechanism, status, approve, chaos."
-
 
 def main(argv: list[str]) -> int:
     """Run, resume, list or plan. Returns the exit status.
@@ -36,7 +35,7 @@ def main(argv: list[str]) -> int:
     Raises:
         UserError: anything the user can mend: one line, status 2.
     """
-    parser = _parser()
+    parser = command_line()
     arguments = parser.parse_args(argv)
     _check(parser.given(arguments))
     user_code.allow(*arguments.allow)
@@ -150,11 +149,19 @@ def _resume(arguments: argparse.Namespace) -> int:
         return conduct(plan.make(description, folder, record.run, record.place), record)
 
 
-def _parser() -> Parser:
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.launch",
-        description="Run a launch description: data, offline training, deployments, report.",
-        epilog="\n".join(["arms:", *meanings.lines(analyses=False), "", _OTHERS]),
+        description="\n".join(
+            [
+                "Run a launch description: data, offline training, deployments, report.",
+                "",
+                "other commands, with their own --help:",
+                *lines(OF_LAUNCH),
+            ]
+        ),
+        epilog="\n".join(["arms:", *meanings.lines(analyses=False)]),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

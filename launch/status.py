@@ -21,12 +21,8 @@ from .vital_signs import ProcessState, Supervision
 _LATE = 5.0  # seconds without a word of the launcher's, after which it is said
 
 
-def main(argv: list[str]) -> int:
-    """Print it. Returns the exit status.
-
-    Raises:
-        UserError: not a run's folder, or a damaged one.
-    """
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.launch status",
         description="Where a run stands, and how each of its processes is: from any terminal, while"
@@ -35,7 +31,16 @@ def main(argv: list[str]) -> int:
     )
     parser.add_argument("run", type=Path, help="the run folder")
     parser.add_argument("--json", action="store_true", help="for programs")
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Print it. Returns the exit status.
+
+    Raises:
+        UserError: not a run's folder, or a damaged one.
+    """
+    arguments = command_line().parse_args(argv)
     folder = RunFolder(arguments.run.resolve())
     record = RunRecord.read(folder)
     launched = _launched(folder)

@@ -48,7 +48,7 @@ _RENEW = timedelta(days=14)  # before the end
 
 def main(argv: list[str]) -> int:
     """Make certificates. Raises UserError for what the user can mend."""
-    parser = _parser()
+    parser = command_line()
     arguments = parser.parse_args(argv)
     if arguments.rules:
         for name, flag in parser.given(arguments).items():
@@ -269,7 +269,8 @@ def _write(folder: Path, contents: dict[str, bytes]) -> None:
         partial.replace(folder / name)
 
 
-def _parser() -> Parser:
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.certs",
         description=DESCRIPTION,

@@ -12,16 +12,24 @@ from typing import NoReturn
 from otc_dist import output
 from otc_dist.printable import printable, say
 
+_NEAR = 0.65  # of 1, by difflib: a letter or two are wrong; below, it is another word
+_PART = 4  # letters of which a part of a name has at least
+
 
 class UserError(Exception):
     """Something the user can mend. The message is one line: what was wrong, and what to do."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
-    """Error for an unknown `name` of some `kind`, with the nearest known name suggested."""
+    """Error for an unknown `name` of some `kind`; what is near among the known is suggested."""
     names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(names)}"
+    bare = {one.lstrip("-"): one for one in names}  # that both are flags makes nothing near
+    part = name.lstrip("-")
+    near = difflib.get_close_matches(part, bare, n=1, cutoff=_NEAR) or [
+        one for one in bare if len(part) >= _PART and part in one
+    ]
+    meant = " or ".join(repr(bare[one]) for one in near)
+    hint = f"did you mean {meant}?" if near else f"known: {', '.join(names)}"
     return UserError(f"unknown {kind} {name!r}; {hint}")
 
 

@@ -1,6 +1,7 @@
 """The argument parser of all commands."""
 
 import argparse
+from collections.abc import Sequence
 from typing import NoReturn
 
 from otc_dist.errors import UserError, unknown
@@ -8,6 +9,10 @@ from otc_dist.errors import UserError, unknown
 
 class Parser(argparse.ArgumentParser):
     """Reports a mistake as one line, like everything else here."""
+
+    def actions(self) -> Sequence[argparse.Action]:
+        """All that can be given, commands below this one not looked into."""
+        return self._actions
 
     def given(self, arguments: argparse.Namespace) -> dict[str, str]:
         """What the command line says beyond the defaults: attribute -> the flag, as one writes it.

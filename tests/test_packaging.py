@@ -89,7 +89,6 @@ def test_the_installed_launcher_runs_from_another_folder(
         text=True,
     )
     assert Path(where.stdout.strip()).is_relative_to(own)
-    subprocess.run(
-        [python, "-m", "otc_dist.launch", "3agent_hopper", *tiny_flags], cwd=elsewhere, check=True
-    )
+    script = python.with_name("otc-dist")
+    subprocess.run([script, "launch", "3agent_hopper", *tiny_flags], cwd=elsewhere, check=True)
     assert (elsewhere / "runs" / "3agent_hopper-seed0" / "report.html").exists()

@@ -43,7 +43,7 @@ The cache is {cache}; set OTC_DIST_CACHE to keep it elsewhere.
 
 def main(argv: list[str]) -> int:
     """Run one command. Raises UserError for what the user can mend."""
-    arguments = _parser().parse_args(argv)
+    arguments = command_line().parse_args(argv)
     if arguments.command == "list":
         _list()
     elif arguments.command == "make":
@@ -61,7 +61,8 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.datasets",
         description=DESCRIPTION,

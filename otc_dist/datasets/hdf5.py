@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.errors import UserError
+from otc_dist.extras import install
 
 if TYPE_CHECKING:
     import h5py
@@ -26,7 +27,7 @@ def opened(path: Path) -> Iterator["h5py.File"]:
     try:
         import h5py
     except ImportError:
-        raise UserError("importing needs h5py: pip install 'otc-dist[import]'") from None
+        raise UserError(f"importing needs h5py: {install('import')}") from None
     with _damage(str(path)):
         file = h5py.File(path, "r")
     with file:

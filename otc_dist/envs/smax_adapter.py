@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.envs.choices import chosen
 from otc_dist.errors import UserError, unknown
+from otc_dist.extras import install
 from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.transitions import Bool, Float32, Float64
 
@@ -40,9 +41,7 @@ def versions() -> dict[str, str]:
 
 
 def _missing(what: str, package: str | None) -> UserError:
-    return UserError(
-        f"{what} needs JaxMARL, and {package} is missing: pip install 'otc-dist[smax]'"
-    )
+    return UserError(f"{what} needs JaxMARL, and {package} is missing: {install('smax')}")
 
 
 @cache

@@ -1,7 +1,6 @@
 """The command `python -m otc_dist.replay FILE...`: look at deployment logs, and use them."""
 
 import argparse
-import signal
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -12,6 +11,7 @@ from otc_dist.deployment_log.format import DamagedLogError
 from otc_dist.errors import UserError, run_main
 from otc_dist.parser import Parser
 from otc_dist.replay.export.formats import FORMATS
+from otc_dist.replay.output import ended_in_order
 from otc_dist.replay.selection import step_range
 
 DESCRIPTION = """\
@@ -109,14 +109,15 @@ _ONLY_FOR = {
 
 def main(argv: list[str]) -> int:
     """Run one action; its exit status. Raises UserError for what the user can mend."""
-    parser = _parser()
+    parser = command_line()
     arguments = parser.parse_args(argv)
     chosen = next((a for a in _ACTIONS if getattr(arguments, a.name)), None)
     _check(parser.given(arguments), chosen, arguments)
     user_code.allow(*arguments.allow)
     module = import_module(f"otc_dist.replay.{chosen.module if chosen else 'summary'}")
     try:
-        status: int = module.run(arguments)
+        with ended_in_order():
+            status: int = module.run(arguments)
     except DamagedLogError as error:
         raise UserError(f"{error}; --recover writes what is whole to another file") from None
     return status
@@ -137,7 +138,8 @@ def _check(given: Mapping[str, str], action: _Action | None, arguments: argparse
             raise UserError(f"{chosen} writes {ending}, and {out} is called otherwise")
 
 
-def _parser() -> Parser:
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.replay",
         description=DESCRIPTION,
@@ -196,6 +198,4 @@ def _rate(text: str) -> float:
 
 
 if __name__ == "__main__":
-    # Ended by a signal, too, it leaves nothing half-written behind.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     run_main(main)

@@ -5,6 +5,7 @@ What is made of a part of a deployment is not taken for the whole: that is said 
 
 import os
 import shutil
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +20,16 @@ def note_shortfall(summary: LogSummary) -> None:
     """Say so, beside the result, where a log does not hold its whole deployment."""
     if summary.extent.shortfall is not None:
         say(f"note: {summary.path} is {summary.extent.shortfall}", file=sys.stderr)
+
+
+@contextmanager
+def ended_in_order() -> Iterator[None]:
+    """Told to end by SIGTERM, a command ends as by Ctrl-C: nothing half-written is left behind."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from otc_dist.errors import UserError
+from otc_dist.extras import install
 from otc_dist.printable import say
 from otc_dist.progress import shown
 from otc_dist.replay.output import claimed
@@ -50,6 +51,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 def missing(error: ModuleNotFoundError) -> UserError:
     """The one line for someone who has not installed what pictures need."""
-    return UserError(
-        f"this needs the package {error.name}: pip install -c constraints.txt -e '.[video]'"
-    )
+    return UserError(f"this needs the package {error.name}: {install('video')}")

@@ -10,8 +10,8 @@ from otc_dist.report.write import write_report
 from otc_dist.run_folder import RunFolder
 
 
-def main(argv: list[str]) -> int:
-    """Write the report of each run or comparison, and print where it is."""
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.report",
         description="Write results.json and report.html of runs, finished or not; of comparisons,"
@@ -20,9 +20,14 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "runs", nargs="+", type=Path, metavar="RUN", help="a run's folder, or a comparison's"
     )
+    return parser
+
+
+def main(argv: list[str]) -> int:
+    """Write the report of each run or comparison, and print where it is."""
     # By name: reports of runs know nothing of comparisons, which are made of runs.
     again = import_module("otc_dist.comparison.again")
-    for root in parser.parse_args(argv).runs:
+    for root in command_line().parse_args(argv).runs:
         write = again.write_again if again.is_comparison(root) else write_report
         say(write(RunFolder(root)))
     return 0

@@ -13,6 +13,7 @@ from minari.data_collector import EpisodeBuffer
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_file, import_files
 from otc_dist.errors import UserError
+from otc_dist.extras import install
 
 from .recordings import Played, play, write_d4rl
 
@@ -241,7 +242,7 @@ def test_a_name_that_is_taken_or_no_name_is_refused(file: Path, played: Played, 
 def test_without_h5py_the_extra_is_named(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.touch()
     monkeypatch.setitem(sys.modules, "h5py", None)
-    assert "pip install 'otc-dist[import]'" in refusal(file)
+    assert "importing needs h5py" in refusal(file) and install("import") in refusal(file)
 
 
 @pytest.fixture

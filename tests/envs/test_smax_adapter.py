@@ -10,6 +10,7 @@ import pytest
 from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
 from otc_dist.errors import UserError
+from otc_dist.extras import install
 
 SMAX = "smax/5m_vs_6m"
 installed = pytest.mark.skipif(find_spec("jaxmarl") is None, reason="JaxMARL is not installed")
@@ -32,7 +33,7 @@ def test_without_the_package_one_line_says_what_to_install(argv):
     )  # fmt: skip
     assert ended.returncode == 2, ended.stderr
     assert ended.stderr.startswith("error: ")
-    assert "needs JaxMARL" in ended.stderr and "pip install 'otc-dist[smax]'" in ended.stderr
+    assert "needs JaxMARL" in ended.stderr and install("smax") in ended.stderr
     assert ended.stderr.count("\n") == 1
 
 

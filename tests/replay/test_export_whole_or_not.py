@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.extras import install
+
 from .conftest import Replay
 from .played import play
 from .recorded import Deployments
@@ -62,7 +64,7 @@ def test_without_its_library_the_extra_is_named(
             monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, library, None)
     message = refused(hopper.paths[0], "--export", form, "--out", tmp_path / "out")
-    assert "pip install 'otc-dist[export]'" in message and library in message
+    assert install("export") in message and library in message
 
 
 LIMITED = """

@@ -2,9 +2,7 @@
 
 import argparse
 import json
-import signal
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     headers = {path: read_header(path) for path in arguments.files}
     parts = [_part(path, arguments) for path in in_order(headers)]
     _check_replaceable(arguments.out)
-    with _ended_in_order(), claimed(arguments.out, force=arguments.force) as folder:
+    with claimed(arguments.out, force=arguments.force) as folder:
         folder.mkdir()
         card = _export(folder, parts, form, arguments)
         for path in (*folder.rglob("*"), folder):
@@ -79,16 +77,6 @@ def run(arguments: argparse.Namespace) -> int:
         f" {card['transitions']:,} transitions in {card['trajectories']:,} trajectories"
     )
     return 0
-
-
-@contextmanager
-def _ended_in_order() -> Iterator[None]:
-    """Also when told to end by SIGTERM, nothing half-written is left behind."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _part(path: Path, arguments: argparse.Namespace) -> _Part:

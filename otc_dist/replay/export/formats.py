@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from otc_dist.errors import UserError
+from otc_dist.extras import install
 from otc_dist.replay.export.trajectories import Trajectory
 from otc_dist.spec import TeamSpec
 
@@ -63,9 +64,7 @@ class Format:
         try:
             module = import_module(f"{__package__}.{self.module}")
         except ImportError:
-            raise UserError(
-                f"this export needs {self.needs}: pip install 'otc-dist[{EXTRA}]'"
-            ) from None
+            raise UserError(f"this export needs {self.needs}: {install(EXTRA)}") from None
         opener: Callable[[Path, View], Writer] = module.open_writer
         return opener
 
