@@ -7,10 +7,12 @@ import shutil
 import socket
 import stat
 import tempfile
+import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from otc_dist import locks
 from otc_dist.bus.addresses import HOST_FORM, is_host, is_ipv6
 from otc_dist.bus.identity import Identity
 from otc_dist.errors import UserError
@@ -81,8 +83,8 @@ def local_endpoint(run: Path) -> str:
     """The endpoint of a run on one machine: a socket in a folder that only its user can enter.
 
     The folder lies in the run's own, which is there as long as the run is; or, where its path is
-    too long for a socket or its file system has none, in the temporary one, named after a hash of
-    the run folder's path. It is made if absent; all processes of a run on a machine find the same.
+    too long for a socket or its file system has none, or no locks, in the temporary one, named after
+    a hash of the run folder's path. It is made if absent; all processes of a run on a machine find the same.
 
     Raises:
         UserError: somebody else has made the folder, or there is no place for one.
@@ -132,9 +134,14 @@ def _unfit(folder: Path) -> str:
                 " folder that only you can enter"
             )
         with socket.socket(socket.AF_UNIX) as probe:
-            path = folder / f"{os.getpid()}"
+            path = folder / f"{threading.get_native_id()}"
             probe.bind(str(path))
             path.unlink()
+        with path.open("wb") as file:  # who listens holds a lock on a file beside the socket
+            locked = locks.held(file.fileno()) is not None
+        path.unlink()
+        if not locked:
+            return "its file system has no locks"
     except OSError as error:
         return os.strerror(error.errno) if error.errno else str(error)
     return ""

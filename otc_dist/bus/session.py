@@ -4,7 +4,6 @@ The env host's session is the router of a star; learners and the launcher are it
 is discovered: multicast and gossip are off. Delivery is not relied on (see `lockstep`).
 """
 
-import re
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -98,12 +97,6 @@ class Session:
         try:
             return cls(zenoh.open(configuration("router", maximum_payload, settings)))
         except zenoh.ZError as error:
-            # A socket has a file beside it that is locked.
-            if re.search("lock: (ENOSYS|EOPNOTSUPP|ENOLCK|EINVAL)", str(error)):
-                raise UserError(
-                    f"cannot listen on {endpoints[-1]}: its file system has no locks, which the bus"
-                    " needs; set TMPDIR to a folder on another"
-                ) from None
             raise UserError(
                 f"cannot listen on {' or '.join(endpoints)}: it is in use, not permitted or no"
                 f" endpoint ({_first_line(error)})"

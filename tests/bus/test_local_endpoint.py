@@ -85,7 +85,13 @@ class _NoSockets(socket.socket):
         super().bind(address)
 
 
-@pytest.mark.parametrize("why", ["no sockets", "read only", "a file"])
+def _no_locks(file: int, operation: int) -> None:
+    """As on a file system that has none."""
+    if ".bus" in os.readlink(f"/proc/self/fd/{file}"):  # noqa: PTH115
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+
+@pytest.mark.parametrize("why", ["no sockets", "no locks", "read only", "a file"])
 def test_where_the_run_s_folder_will_not_do_it_is_in_the_temporary_one(
     temporary: Path, monkeypatch: pytest.MonkeyPatch, why: str
 ) -> None:
@@ -93,6 +99,9 @@ def test_where_the_run_s_folder_will_not_do_it_is_in_the_temporary_one(
     if why == "no sockets":
         run.mkdir()
         monkeypatch.setattr(endpoints.socket, "socket", _NoSockets)
+    elif why == "no locks":
+        run.mkdir()
+        monkeypatch.setattr("fcntl.flock", _no_locks)
     elif why == "a file":
         run.touch()
     else:
