@@ -83,8 +83,9 @@ def local_endpoint(run: Path) -> str:
     """The endpoint of a run on one machine: a socket in a folder that only its user can enter.
 
     The folder lies in the run's own, which is there as long as the run is; or, where its path is
-    too long for a socket or its file system has none, or no locks, in the temporary one, named after
-    a hash of the run folder's path. It is made if absent; all processes of a run on a machine find the same.
+    too long for a socket or its file system has none, or no locks, in the temporary one, named
+    after a hash of the run folder's path. It is made if absent; all processes of a run on a machine
+    find the same.
 
     Raises:
         UserError: somebody else has made the folder, or there is no place for one.
