@@ -37,7 +37,7 @@ from .gate import Gate
 from .history import history_of
 from .host_bus import open_bus
 from .process import FailureError, Run, parser, serve
-from .resimulation import resimulate
+from .resimulation import check_begun, resimulate
 
 log = logging.getLogger(__name__)
 
@@ -177,7 +177,7 @@ class EnvHost:
         if partial_path(path).exists():
             writer, steps = LogWriter.resume(path)
             try:
-                self._check_begun(writer.header, k, partial_path(path))
+                check_begun(writer.header, self._run.keys.run, k, partial_path(path))
                 log.info("deployment %d goes on after %d logged steps", k, steps)
                 return writer, resimulate(rollout, path, steps, self._run.moved)
             except BaseException:
@@ -195,19 +195,6 @@ class EnvHost:
             versions=versions() | dict(rollout.simulator) | {"processor": kind()},
         )
         return LogWriter.create(path, header), None
-
-    def _check_begun(self, header: LogHeader, k: int, path: Path) -> None:
-        """See that an unfinished log is of this run's deployment k."""
-        if (header.run, header.deployment) != (self._run.keys.run, k):
-            raise FailureError(
-                f"{path} is of run {header.run}, deployment {header.deployment}, not of"
-                f" {self._run.keys.run}, deployment {k}: put the right one there, or none"
-            )
-        if not header.bound:
-            log.warning(
-                "an older otc_dist began %s: its steps stay unbound to this run (--accept-unbound)",
-                path.name,
-            )
 
     def _ask(
         self,

@@ -1,18 +1,40 @@
 """Bringing a simulator to where an unfinished log ends, by playing the log again."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
+from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.reader import read_steps
 from otc_dist.envs.rollout import Rollout
 from otc_dist.transitions import JointStep
 
 from .process import FailureError
 
+log = logging.getLogger(__name__)
+
 _ENDS = ("step", "episode_seeds", "terminated", "truncated")  # which say how an episode goes on
+
+
+def check_begun(header: LogHeader, run: str, deployment: int, path: Path) -> None:
+    """See that an unfinished log is of that deployment of the run.
+
+    Raises:
+        FailureError: it is of another.
+    """
+    if (header.run, header.deployment) != (run, deployment):
+        raise FailureError(
+            f"{path} is of run {header.run}, deployment {header.deployment}, not of {run},"
+            f" deployment {deployment}: put the right one there, or none"
+        )
+    if not header.bound:
+        log.warning(
+            "an older otc_dist began %s: its steps stay unbound to this run (--accept-unbound)",
+            path.name,
+        )
 
 
 def resimulate(rollout: Rollout, path: Path, steps: int, moved: bool) -> JointStep | None:

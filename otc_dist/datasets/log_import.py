@@ -17,7 +17,7 @@ from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import RecordLayout, Rows
 from otc_dist.deployment_log.salvage import Salvage
-from otc_dist.deployment_log.seeds import foreign_steps
+from otc_dist.deployment_log.seeds import OwnSteps
 from otc_dist.deployment_log.several import in_order
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
@@ -110,21 +110,23 @@ def _read(path: Path) -> _File:
     path = existing(path)
     try:
         with OpenLog(path) as log:
-            header, layout, rows = log.header, log.layout, _joined(log.layout, log.blocks())
+            header, layout, own = log.header, log.layout, OwnSteps(log.header)
+            rows = _joined(layout, own.of(log.blocks()))
             notes: tuple[str, ...] = ()
             if log.extent.shortfall is not None:
                 notes = (f"{path.name} is {log.extent.shortfall}",)
     except DamagedLogError as error:
         with Salvage(path) as salvage:
-            header, layout = salvage.header, salvage.layout
-            rows = _joined(layout, salvage.blocks())
+            header, layout, own = salvage.header, salvage.layout, OwnSteps(salvage.header)
+            rows = _joined(layout, own.of(salvage.blocks()))
         reason = str(error).replace(str(path), path.name)
         of = scheduled_steps(header)
         many = f"{len(rows):,} steps" if of is None else f"{len(rows):,} of {of:,} steps"
         notes = (f"{reason}; {many} in it are whole",)
     _check_team(header.team, path)
-    if (foreign := foreign_steps(header, [rows])) is not None:
-        notes += (f"{path.name}: {foreign}",)
+    if not header.bound:
+        unbound = f"log version {header.format_version}, unbound to its run"
+        notes += (f"{path.name}: {unbound}{f'; {own.told}' if own.told else ''}",)
     episodes, begun = _numbered(rows["step"], rows["terminated"] | rows["truncated"])
     agents = [layout.transitions(rows, index) for index in range(len(header.team.agents))]
     broken = agents[0].terminated & agents[0].truncated

@@ -1,6 +1,6 @@
 """Whether the episodes of a log have the seeds that its run's seed gives."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -14,16 +14,37 @@ _MOST_EPISODES = 2**20
 _NONE = -1  # a seed that no episode has
 
 
-def foreign_steps(header: LogHeader, blocks: Iterable[Rows]) -> str | None:
-    """How many steps of a log in the older form are of another deployment by their seeds.
+class OwnSteps:
+    """Leaves out of a log in the older form what is of another deployment by its seeds.
 
-    In words; None: there is none, or checksums vouch for them all.
+    `left_out` counts these steps. Of other logs all steps are own: their checksums say so.
     """
-    if header.bound:
-        return None
-    check = SeedCheck(header)
-    count = sum(int(check.wrong(rows).any(axis=1).sum()) for rows in blocks)
-    return f"{count:,} of its steps have seeds of another deployment" if count else None
+
+    def __init__(self, header: LogHeader) -> None:
+        self._header, self._layout = header, header.layout()
+        self.left_out = 0
+
+    def of(self, blocks: Iterable[Rows]) -> Iterator[Rows]:
+        """The own steps of blocks that are in order."""
+        self.left_out = 0
+        check = SeedCheck(self._header)
+        for rows in blocks:
+            if self._header.bound:
+                yield rows
+                continue
+            own = ~check.wrong(rows).any(axis=1)
+            self.left_out += int((~own).sum())
+            if own.any():
+                # By bytes: NumPy need not copy those between the fields.
+                records = np.frombuffer(rows.tobytes(), np.uint8).reshape(len(rows), -1)
+                yield self._layout.rows(records[own].tobytes())
+
+    @property
+    def told(self) -> str | None:
+        """What was left out, in words; None: nothing."""
+        if not self.left_out:
+            return None
+        return f"left out: {self.left_out:,} steps with seeds of another deployment"
 
 
 class SeedCheck:
@@ -42,20 +63,22 @@ class SeedCheck:
     def wrong(self, rows: Rows) -> Bool:
         """(T, E): steps whose episode has another seed than its copy and number give.
 
-        Behind a gap an episode may have any number that is possible there.
+        Behind a gap, and behind wrong ones, an episode may have any number that is possible there.
         """
         seeds, ends = rows["episode_seeds"], rows["terminated"] | rows["truncated"]
         found = np.zeros(seeds.shape, np.bool_)
         for t, step in enumerate(rows["step"].tolist()):
             if step != self._step + 1:
-                self._certain[:], self._ended[:] = False, True
-            for copy in np.flatnonzero(self._ended).tolist():
-                self._begin(copy, int(seeds[t, copy]), step)
+                self._certain[:] = False
+            for copy in np.flatnonzero(self._ended | ~self._certain).tolist():
+                self._expect(copy, int(seeds[t, copy]), step)
             found[t] = seeds[t] != self._seeds
+            self._certain &= ~found[t]
             self._step, self._ended = step, ends[t].copy()
         return found
 
-    def _begin(self, copy: int, seed: int, step: int) -> None:
+    def _expect(self, copy: int, seed: int, step: int) -> None:
+        """Settle which seed a copy's episode must have; _NONE: not the one that it has."""
         if self._certain[copy]:
             self._numbers[copy] += 1
             self._seeds[copy] = self._derived(copy, int(self._numbers[copy]))

@@ -10,7 +10,7 @@ from otc_dist.deployment_log.format import PARTIAL_SUFFIX
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import Rows
 from otc_dist.deployment_log.salvage import Salvage
-from otc_dist.deployment_log.seeds import foreign_steps
+from otc_dist.deployment_log.seeds import OwnSteps
 from otc_dist.errors import UserError
 from otc_dist.printable import say
 from otc_dist.progress import Report, shown
@@ -28,12 +28,12 @@ def run(arguments: argparse.Namespace) -> int:
     complete = True  # of all
     for path in arguments.files:
         out = arguments.out or recovered_path(path)
-        recover(path, out, force=arguments.force)
+        left_out = recover(path, out, force=arguments.force)
         with OpenLog(out) as log:
-            extent, foreign = log.extent, foreign_steps(log.header, log.blocks())
+            extent = log.extent
         told = f"{out}: {extent.shortfall or f'all of {extent.count}'}; missing: {extent.missing}"
-        say(f"{told}; {foreign}" if foreign else told)
-        complete = complete and extent.complete and not foreign
+        say(f"{told}; {left_out}" if left_out else told)
+        complete = complete and extent.complete
     return 0 if complete else 1
 
 
@@ -43,8 +43,8 @@ def recovered_path(path: Path) -> Path:
     return path.with_name(f"{name}.recovered.mcap")
 
 
-def recover(path: Path, out: Path, *, force: bool) -> None:
-    """Write all whole steps of a log to a finished one, `out`.
+def recover(path: Path, out: Path, *, force: bool) -> str | None:
+    """Write all whole steps of a log to a finished one, `out`; what was left out, in words.
 
     Raises:
         UserError: there is none, no header is whole, `out` exists, the disk is full, ...
@@ -54,19 +54,22 @@ def recover(path: Path, out: Path, *, force: bool) -> None:
         claimed(out, force=force) as unfinished,
         shown(f"searching {path.name}", "bytes") as report,
     ):
-        steps = partial(_reported, found, report)
+        own = OwnSteps(found.header)
+        steps = partial(_reported, found, own, report)
         write_finished(
             unfinished, found.header, steps, found.policies(), recovered_from=found.source
         )
+    return own.told
 
 
-def _reported(found: Salvage, report: Report) -> Iterator[Rows]:
+def _reported(found: Salvage, own: OwnSteps, report: Report) -> Iterator[Rows]:
     """All whole steps. Raises UserError if there is none."""
     some = False
-    for rows in found.blocks():
+    for rows in own.of(found.blocks()):
         some = True
         report(found.searched, found.size)
         yield rows
     if not some:
-        raise UserError(f"{found.path} holds no whole step")
+        told = f"; {own.told}" if own.told else ""
+        raise UserError(f"{found.path} holds no whole step{told}")
     report(found.size, found.size)

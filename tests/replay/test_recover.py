@@ -9,6 +9,7 @@ import pytest
 from otc_dist.datasets.importers import import_files
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.measuring import read_measured
+from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import read_header, read_steps, read_summary
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.errors import UserError
@@ -174,15 +175,37 @@ def test_a_full_disk_leaves_nothing(
     assert [p.name for p in tmp_path.iterdir()] == ["log.mcap"]
 
 
-def test_steps_of_another_deployment_in_a_log_of_the_older_form_are_told(
-    sequential: Path, tmp_path: Path, replay
+def test_steps_of_another_deployment_in_a_log_of_the_older_form_are_left_out(
+    sequential: Path, tmp_path: Path, replay, refused
 ) -> None:
     """Their checksums hold there; the seeds of their episodes do not fit."""
-    partial = partial_path(unfinished(sequential, tmp_path))
-    out = tmp_path / "out.mcap"
-    assert replay(again(partial, format_version=1), "--recover", "--out", out)[0] == 0
-    again(partial, deployment=2)
-    status, told = replay(partial, "--recover", "--out", out, "--force")
-    assert status == 1 and "120 of its steps have seeds of another deployment" in told
-    assert replay(out, "--verify")[0] == 1
-    assert import_files([partial], "foreign").notes[-1].endswith("seeds of another deployment")
+    mine = again(partial_path(unfinished(sequential, tmp_path / "1")), format_version=1)
+    other = played(tmp_path / "other.mcap", "hopper-3x1", 120, k=2)
+    theirs = again(partial_path(unfinished(other, tmp_path / "2")), format_version=1)
+    data, foreign = mine.read_bytes(), theirs.read_bytes()
+    start, size = _places(mine)
+    there, _ = _places(theirs)
+    low, high = 40 * size, 50 * size  # where whole steps begin and end, so that none is missing
+    path, out = tmp_path / "log.mcap.partial", tmp_path / "out.mcap"
+    path.write_bytes(
+        data[: start + low] + foreign[there + low : there + high] + data[start + high :]
+    )
+    status, told = replay(path, "--recover", "--out", out)
+    assert status == 1
+    assert "missing: steps 40 to 49; left out: 10 steps with seeds of another deployment" in told
+    steps = list(read_steps(sequential))
+    assert all(same_step(step, steps[step.step]) for step in read_steps(out))
+    assert import_files([path], "mixed").notes == (
+        "log.mcap.partial is unfinished: 120 of 120 steps",
+        "log.mcap.partial: log version 1, unbound to its run;"
+        " left out: 10 steps with seeds of another deployment",
+    )
+    again(mine, deployment=2)
+    message = refused(mine, "--recover", "--out", out, "--force")
+    assert "no whole step; left out: 120 steps with seeds of another deployment" in message
+
+
+def _places(partial: Path) -> tuple[int, int]:
+    """Where the steps of an unfinished log begin, and how long each is."""
+    with OpenLog(partial) as log:
+        return log.first, log.layout.size
