@@ -37,7 +37,7 @@ def resolve(name: EngineName, updates: int) -> Resolved:
         UserError: an engine that this machine cannot run was asked for by name.
     """
     cuda = torch.cuda.is_available()
-    compiler = shutil.which("g++") or shutil.which("clang++")
+    compiler = _compiler()
     if name == "cuda-graph" and not cuda:
         raise UserError("engine.name = 'cuda-graph' needs a CUDA device; use 'auto' or 'compiled'")
     if name == "compiled" and not compiler:
@@ -47,6 +47,11 @@ def resolve(name: EngineName, updates: int) -> Resolved:
     if cuda:
         return "cuda-graph"
     return "compiled" if compiler and updates >= COMPILE_WORTHWHILE else "eager"
+
+
+def _compiler() -> str | None:
+    """The path of a C++ compiler."""
+    return shutil.which("g++") or shutil.which("clang++")
 
 
 class Engine:
@@ -88,10 +93,10 @@ class Engine:
         if self.device.type == "cpu":
             options["cpp_wrapper"] = True
             _keep_headers_private()
-            if torch.backends.mkldnn.is_available():  # type: ignore[no-untyped-call]
-                from otc_dist.products import Products  # the compiler takes a second to import
+            if (compiler := _compiler()) is not None:
+                from otc_dist import products  # torch's compiler takes a second to import
 
-                options["post_grad_custom_pre_pass"] = Products()
+                options |= products.options(compiler)
         return torch.no_grad()(
             torch.compile(anatomy.copy(), fullgraph=True, dynamic=False, options=options)
         )

@@ -1,109 +1,124 @@
-"""Matrix products in the form that is fastest, in code that torch compiles for the CPU.
+"""Matrix products by the widest vectors that the processor has, in code that torch compiles.
 
-torch computes float32 products by MKL, which leaves half of some AMD processors' vector width
-unused: large ones go to oneDNN, which torch brings for convolutions, and which uses all of it. And
-MKL is slow where a product has a few columns: thin ones are computed transposed. Results differ by
-rounding.
+torch's compiler calls MKL for float32 products, which leaves half of the vector width of AMD's
+processors unused, and is slow where matrices are small or a product has few columns. torch brings
+oneDNN's kernel too, which has neither fault but no operation of its own: product.cpp makes it one.
+Results differ by rounding.
 """
 
+import ctypes
+import functools
+import hashlib
+import logging
+import os
+import subprocess
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch._inductor import ir
+from torch._inductor.config import aot_inductor
 from torch._inductor.custom_graph_pass import CustomGraphPass, get_hash_for_files
-from torch._inductor.lowering import permute, register_lowering
-from torch._inductor.mkldnn_ir import LinearUnary
-from torch.fx import Graph, Node
-from torch.fx.node import map_arg
+from torch.fx import Graph
 
-LEAST = 2**20  # multiplications of two matrices from which oneDNN is the faster
-MOST = 8  # products in a batch, each of which is computed by itself
-THIN = range(2, 13)  # columns of a product that MKL computes in half of the time transposed
-TALL = 64  # rows, and inner dimension, from which that is so
+from otc_dist.cache import compiled_root
+
+SOURCE = Path(__file__).with_name("product.cpp")
+TORCH = Path(torch.__file__).parent
+C_FUNCTION = (
+    "AOTITorchError aoti_torch_cpu_own_product("
+    "AtenTensorHandle, AtenTensorHandle, AtenTensorHandle*)"
+)
 aten = torch.ops.aten
+log = logging.getLogger(__name__)
 
 
-@torch.library.custom_op("otc_dist::product", mutates_args=())
+@torch.library.custom_op("otc_dist::own_product", mutates_args=())
 def product(left: Tensor, right: Tensor) -> Tensor:
-    """(m, k) times (k, n)."""
-    found: Tensor = torch.ops.mkldnn._linear_pointwise(left, right.t(), None, "none", [], "")
-    return found
+    """(..., m, k) times (..., k, n)."""
+    return left @ right  # for those who run a graph; compiled code calls the C function
 
 
 @product.register_fake
 def _(left: Tensor, right: Tensor) -> Tensor:
-    return left.new_empty((left.shape[0], right.shape[1]))
-
-
-class _Product(LinearUnary):
-    """The compiler's call of oneDNN, but for a weight that is no constant and may be transposed."""
-
-    @classmethod
-    def create(cls, left: Any, right: Any) -> ir.TensorBox:  # type: ignore[override]
-        left = cls.require_contiguous(cls.realize_input(left))
-        right = cls.require_stride1(cls.realize_input(permute(right, [1, 0])))
-        rows, columns = left.get_size()[0], right.get_size()[0]
-        layout = ir.FixedLayout(left.get_device(), left.get_dtype(), [rows, columns], [columns, 1])
-        return ir.TensorBox.create(cls(layout, [left, right], [None, "none", [-1], ""]))
-
-
-register_lowering(torch.ops.otc_dist.product.default, type_promotion_kind=None)(_Product.create)
+    return left.new_empty((*left.shape[:-1], right.shape[-1]))
 
 
 class Products(CustomGraphPass):
-    """A pass of torch's compiler over the operations of one graph."""
+    """A pass of torch's compiler over one graph: float32 products are computed by `product`."""
 
     def uuid(self) -> bytes:
-        """Compiled code is kept for as long as this file is the same."""
-        return get_hash_for_files((__file__,))
+        """Compiled code is kept for as long as these files are the same."""
+        return get_hash_for_files((__file__, str(SOURCE)))
 
     def __call__(self, graph: Graph) -> None:
         for operation in (aten.mm.default, aten.bmm.default):
             for node in graph.find_nodes(op="call_function", target=operation):
-                left, right = node.args
-                if left.meta["val"].dtype != torch.float32:
-                    continue
-                *_, rows, inner = left.meta["val"].shape
-                columns = right.meta["val"].shape[-1]
-                with graph.inserting_before(node):
-                    if _large(left.meta["val"], right.meta["val"]):
-                        replacement = _computed(graph, left, right)
-                    elif columns in THIN and min(rows, inner) >= TALL:
-                        replacement = _transposed(graph, operation, left, right)
-                    else:
-                        continue
-                node.replace_all_uses_with(replacement)
-                graph.erase_node(node)
+                if node.meta["val"].dtype == torch.float32:
+                    node.target = torch.ops.otc_dist.own_product.default
 
 
-def _large(left: Tensor, right: Tensor) -> bool:
-    *batch, rows, inner = left.shape
-    size = rows * inner * right.shape[-1]
-    return size >= LEAST and all(copies <= MOST for copies in batch)
+def options(compiler: str) -> dict[str, Any]:
+    """What makes `torch.compile` use the kernel; nothing where it is not to be had.
+
+    Args:
+        compiler: a C++ compiler's path.
+    """
+    if not _loaded(compiler):
+        return {}
+    aot_inductor.custom_ops_to_c_shims = _Shims()
+    return {"post_grad_custom_pre_pass": Products()}
 
 
-def _computed(graph: Graph, left: Node, right: Node) -> Node:
-    """The product, of two matrices or of a batch of them, added to the graph."""
-    if left.meta["val"].ndim == 2:
-        return _call(graph, torch.ops.otc_dist.product.default, left, right)
-    parts = []
-    for index in range(len(left.meta["val"])):
-        pair = [_call(graph, aten.select.int, side, 0, index) for side in (left, right)]
-        part = _call(graph, torch.ops.otc_dist.product.default, *pair)
-        parts.append(_call(graph, aten.unsqueeze.default, part, 0))
-    return _call(graph, aten.cat.default, parts)
+class _Shims(dict[Any, list[str]]):
+    """The C function of `product`, as torch's compiler asks for it.
+
+    Its cache pickles all settings, and an operation cannot be pickled: this class can.
+    """
+
+    def __init__(self) -> None:
+        super().__init__({torch.ops.otc_dist.own_product.default: [C_FUNCTION]})
+
+    def __reduce__(self) -> tuple[type["_Shims"], tuple[()]]:
+        return type(self), ()
 
 
-def _transposed(graph: Graph, operation: Any, left: Node, right: Node) -> Node:
-    """The same product as (right^T left^T)^T."""
-    order = [1, 0] if operation is aten.mm.default else [0, 2, 1]
-    flipped = [_call(graph, aten.permute.default, side, order) for side in (right, left)]
-    found = _call(graph, operation, *flipped)
-    return _call(graph, aten.permute.default, found, order)
+@functools.cache
+def _loaded(compiler: str) -> bool:
+    """Whether compiled code can call the kernel from now on; one line is logged if not."""
+    try:
+        library = ctypes.CDLL(str(_built(compiler)), mode=os.RTLD_GLOBAL)
+    except (OSError, subprocess.CalledProcessError) as error:
+        said = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
+        log.warning(
+            "matrix products are left to torch: %s does not fit torch %s (%s)",
+            SOURCE.name,
+            torch.__version__,
+            said.strip().partition("\n")[0],
+        )
+        return False
+    library.otc_dist_can_multiply.restype = ctypes.c_bool
+    able: bool = library.otc_dist_can_multiply()
+    if not able:
+        log.info("matrix products are left to torch: this processor lacks the kernel")
+    return able
 
 
-def _call(graph: Graph, operation: Any, *arguments: Any) -> Node:
-    node = graph.call_function(operation, arguments)
-    node.meta["val"] = operation(*map_arg(arguments, lambda other: other.meta["val"]))
-    return node
+def _built(compiler: str) -> Path:
+    """The library, compiled at most once for a source, a torch and a compiler.
+
+    Raises:
+        OSError, subprocess.CalledProcessError: it cannot be made.
+    """
+    made_of = f"{SOURCE.read_text()}\0{torch.__version__}\0{compiler}"
+    library = compiled_root() / f"product-{hashlib.blake2b(made_of.encode()).hexdigest()[:16]}.so"
+    if not library.exists():
+        with TemporaryDirectory(dir=library.parent) as folder:
+            new = Path(folder, library.name)
+            command = [compiler, "-O3", "-shared", "-fPIC", "-std=c++17", str(SOURCE)]
+            command += ["-o", str(new), f"-I{TORCH / 'include'}", f"-L{TORCH / 'lib'}"]
+            command += ["-ltorch_cpu", "-lc10"]
+            subprocess.run(command, check=True, capture_output=True, text=True)
+            new.replace(library)
+    return library
