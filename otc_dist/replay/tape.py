@@ -118,6 +118,7 @@ def highlights(arguments: argparse.Namespace) -> list[tuple[str, Tape]]:
         )
         if not ranked:
             raise UserError(f"{log.path} has no steps to show")
+        note_shortfall(summary)
         if len(ranked) == 1:
             chosen = {"the only episode": ranked[0]}
         else:

@@ -1,5 +1,6 @@
 """`--recover` writes what is whole to a log of its own, whole or not at all."""
 
+import argparse
 import json
 import resource
 from pathlib import Path
@@ -14,6 +15,7 @@ from otc_dist.deployment_log.reader import read_header, read_steps, read_summary
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.errors import UserError
 from otc_dist.replay.__main__ import main
+from otc_dist.replay.tape import highlights
 from tests.deployment_log.conftest import Recording, again, same_step
 
 from .deployments import described, played
@@ -106,9 +108,16 @@ def test_what_is_missing_at_the_end_is_told_by_every_reader(
             read_measured(log)
         learners = ("--publish", "--learners", "--run", tmp_path / "run")
         assert short in refused(log, *learners)
-    main([str(out), "--html", str(tmp_path / "page.html")])
-    assert f"note: {out} is {short}" in capsys.readouterr().err
+    for words in (
+        ("--html", tmp_path / "page.html"),
+        ("--foxglove", tmp_path / "shown.mcap"),
+        ("--export", "csv", "--out", tmp_path / "again"),
+    ):
+        main(list(map(str, (out, *words))))
+        assert f"note: {out} is {short}" in capsys.readouterr().err
     assert f"· {short}" in (tmp_path / "page.html").read_text()
+    highlights(argparse.Namespace(files=[out], steps=None, episode=None, agent=None))
+    assert f"note: {out} is {short}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("cut", [False, True])
