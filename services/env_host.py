@@ -36,7 +36,7 @@ from otc_dist.transitions import Float32, JointStep
 from .gate import Gate
 from .history import history_of
 from .host_bus import open_bus
-from .process import FailureError, Run, parser, serve
+from .process import FailureError, Run, check_endpoints, parser, serve
 from .resimulation import check_begun, resimulate
 
 log = logging.getLogger(__name__)
@@ -302,6 +302,7 @@ def main() -> None:
     arguments = command.parse_args()
 
     def body() -> None:
+        check_endpoints(arguments)
         run = Run.open(arguments.run)
         run.check(inputs.sources(run.description))
         session = open_bus(run, arguments)

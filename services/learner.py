@@ -26,7 +26,7 @@ from otc_dist.spec import AgentSpec
 from .gathering import Gathering
 from .judge import Judge
 from .metrics import MetricsFile
-from .process import Run, door_at, parser, patience, serve
+from .process import Run, check_endpoints, door_at, parser, patience, serve
 
 if TYPE_CHECKING:
     from otc_dist.learner import Learner, Progress
@@ -292,6 +292,7 @@ def main() -> None:
     arguments = command.parse_args()
 
     def body() -> None:
+        check_endpoints(arguments)
         run = Run.open(arguments.run)
         if arguments.agent not in run.team.names:
             raise unknown("agent", arguments.agent, run.team.names)

@@ -138,6 +138,20 @@ def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParse
     return made
 
 
+def check_endpoints(arguments: argparse.Namespace) -> None:
+    """Refuse flags of the command line that would do nothing.
+
+    Raises:
+        UserError: two endpoints, or how to meet others where nobody is met on a network.
+    """
+    listen: str | None = getattr(arguments, "listen", None)
+    if listen and arguments.connect:
+        raise UserError("--connect is instead of --listen: leave one of them out")
+    if not (listen or arguments.connect) and (arguments.certs or arguments.insecure):
+        flag = "--certs" if arguments.certs else "--insecure"
+        raise UserError(f"{flag} is for an endpoint on a network, and none is given: leave it out")
+
+
 def patience(run: Run, arguments: argparse.Namespace) -> float:
     """Seconds to wait until another process has come."""
     given: float | None = arguments.patience

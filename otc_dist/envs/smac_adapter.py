@@ -16,6 +16,7 @@ s, the episode does not count, and no learner learns from the step (see `Outcome
 
 import importlib
 import logging
+import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -33,7 +34,8 @@ from otc_dist.transitions import Bool, Float32, Float64
 PREFIX = "smac/"
 MOST_COPIES = 8  # games at a time where nobody says how many: each is a process of a gigabyte
 
-_PACKAGE = "pip install git+https://github.com/oxwhirl/smac.git (PyPI's `smac` is another package)"
+_SOURCE = "git+https://github.com/oxwhirl/smac.git"
+_PACKAGE = f"{sys.executable} -m pip install {_SOURCE} (PyPI's `smac` is another package)"
 _GAME = "install StarCraft II and SMAC's maps as https://github.com/oxwhirl/smac says, set SC2PATH"
 _DISTRIBUTIONS = ("SMAC", "PySC2", "s2clientprotocol")
 
