@@ -1,15 +1,40 @@
 """`launch approve RUN`: let the deployment begin that waits for a person."""
 
-import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
+from pydantic import Field
+
+from otc_dist import records
 from otc_dist.errors import UserError
 from otc_dist.parser import Parser
 from otc_dist.printable import say
 from otc_dist.run_folder import RunFolder
 
 from .run_record import RunRecord
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """What the deployment before measured."""
+
+    deployment: int
+    mean: float
+    error: float
+    episodes: int
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """The contents of waiting.json: for what the env host waits, as it says itself."""
+
+    waits_for: str
+    deployment: Annotated[int, Field(ge=1, lt=2**31)]
+    policy: int
+    approve_by: str
+    measured: _Measured | None = None
+    greedy_return: float | None = None
 
 
 def command_line() -> Parser:
@@ -34,30 +59,25 @@ def main(argv: list[str]) -> int:
     told = waiting(folder)
     if told is None:
         raise UserError(f"{folder.root} waits for nobody now")
-    approval = folder.root / told["approve_by"]
+    approval = folder.approval(told.deployment)
     try:
         approval.touch()
     except OSError as error:
         raise UserError(f"cannot write {approval}: {error.strerror}") from None
-    say(f"approved: deployment {told['deployment']}, by policy {told['policy']}")
+    say(f"approved: deployment {told.deployment}, by policy {told.policy}")
     return 0
 
 
-def waiting(folder: RunFolder) -> dict[str, Any] | None:
+def waiting(folder: RunFolder) -> Waiting | None:
     """For what the env host waits, as it says itself; None: for nobody.
 
     Raises:
         UserError: the file is damaged.
     """
     try:
-        told = json.loads(folder.waiting.read_text(encoding="utf-8"))
-        if {"waits_for", "deployment", "policy", "approve_by"} <= told.keys():
-            return dict(told)
-        raise ValueError("it lacks a part")
+        return records.read_json(Waiting, folder.waiting)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, AttributeError) as error:
-        raise UserError(f"{folder.waiting} is damaged: {error}") from None
 
 
 def waiting_lines(folder: RunFolder) -> list[str]:
@@ -65,12 +85,12 @@ def waiting_lines(folder: RunFolder) -> list[str]:
     told = waiting(folder)
     if told is None:
         return []
-    line, measured = f"waits for {told['waits_for']}", told.get("measured")
+    line, measured = f"waits for {told.waits_for}", told.measured
     if measured:
         line += (
-            f"; deployment {measured['deployment']} measured {measured['mean']:,.1f} ±"
-            f" {measured['error']:,.1f}"
+            f"; deployment {measured.deployment} measured {measured.mean:,.1f} ±"
+            f" {measured.error:,.1f}"
         )
-    if told.get("greedy_return") is not None:
-        line += f"; its greedy return is {told['greedy_return']:,.1f}"
+    if told.greedy_return is not None:
+        line += f"; its greedy return is {told.greedy_return:,.1f}"
     return [line, f"approve with: python -m otc_dist.launch approve {folder.root}"]

@@ -5,12 +5,13 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from otc_dist.deployment_log.reader import read_steps, read_summary
 from otc_dist.description import Description
+from otc_dist.report.files import Record
 from otc_dist.report.results import results, to_json
 from otc_dist.report.run_data import read_run
 from otc_dist.report.run_page import render
@@ -48,7 +49,8 @@ def differences(ours: Mapping[str, bytes], theirs: Mapping[str, bytes]) -> list[
 def _report(folder: RunFolder) -> bytes:
     """The report and its numbers, but for whose they are and how long it took."""
     run = read_run(folder)
-    record = {name: value for name, value in run.record.items() if name not in _OWN}
+    told = {name: value for name, value in run.record.items() if name not in _OWN}
+    record = cast(Record, told)
     record["run"] = "a run"  # else it is called as its folder is
     # Where the processes meet is part of the description, and is not the same for every fault.
     description = run.description.with_assignments("bus.router=''")

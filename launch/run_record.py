@@ -4,7 +4,6 @@ import hashlib
 import json
 import os
 import platform
-import re
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -14,9 +13,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal, Self
 
-from otc_dist import __version__, durable, locks, user_code
+from otc_dist import __version__, durable, locks, names, records, user_code
 from otc_dist.description import Description
 from otc_dist.errors import UserError
+from otc_dist.names import Name
 from otc_dist.processor import kind
 from otc_dist.run_folder import RunFolder
 
@@ -27,8 +27,6 @@ from .place import Place
 State = Literal["running", "stopped", "failed", "reporting", "finished"]
 # What can change a run's bits. A run goes on only with the versions that it began with.
 LOCK = ".lock"  # held by the launcher that is at work, the first file of a run folder
-_ODD = r"[^A-Za-z0-9_.-]"  # what may not stand in the bus's keys
-_LISTS = ("resumed", "extended", "processors", "libraries")  # fields of run.json
 PACKAGES = ("torch", "mujoco", "numpy", "scipy", "eclipse-zenoh", "mcap")
 
 
@@ -36,7 +34,7 @@ PACKAGES = ("torch", "mujoco", "numpy", "scipy", "eclipse-zenoh", "mcap")
 class RunRecord:
     """The contents of run.json."""
 
-    run: str  # the run's name on the bus
+    run: Name  # the run's name on the bus
     description: str  # digest of description.toml
     command: list[str]
     versions: dict[str, str]
@@ -67,14 +65,9 @@ class RunRecord:
     def read(cls, folder: RunFolder) -> Self:
         """Raises UserError if the folder is no run's, or its run.json is damaged."""
         try:
-            fields = json.loads(folder.run_json.read_text(encoding="utf-8"))
-            place = Place(**fields.get("place", {}))
-            lists = {name: tuple(fields.get(name, ())) for name in _LISTS}
-            return cls(**{**fields, **lists, "place": place})
+            return records.read_json(cls, folder.run_json)
         except FileNotFoundError:
             raise UserError(f"{folder.root} is no run folder: it has no run.json") from None
-        except (OSError, ValueError, TypeError, KeyError) as error:
-            raise UserError(f"{folder.run_json} is damaged: {error}") from None
 
 
 def versions() -> dict[str, str]:
@@ -123,13 +116,13 @@ def create(
 
 def shared_name(description: Description) -> str:
     """The name on the bus of a run on several hosts, which all know nothing but its description."""
-    return re.sub(_ODD, "_", f"{description.name}-seed{description.seed}")
+    return names.from_text(f"{description.name}-seed{description.seed}")
 
 
 def _own_name(folder: RunFolder, started: str) -> str:
     """The name of a run on one machine: told apart, should two of one name meet on a router."""
     digest = hashlib.blake2b(f"{folder.root}{started}".encode(), digest_size=3).hexdigest()
-    return f"{re.sub(_ODD, '_', folder.root.name)}-{digest}"
+    return f"{names.from_text(folder.root.name)[: names.LONGEST - 7]}-{digest}"
 
 
 def _begun(folder: RunFolder) -> tuple[RunRecord, Description]:

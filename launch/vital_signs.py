@@ -7,9 +7,9 @@ import time
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-from otc_dist.errors import UserError
+from otc_dist import records
 from otc_dist.run_folder import RunFolder
 
 from .board import Board
@@ -52,13 +52,9 @@ class Supervision:
             UserError: the file is damaged.
         """
         try:
-            fields: dict[str, Any] = json.loads(folder.supervision.read_text(encoding="utf-8"))
-            states = {name: ProcessState(**state) for name, state in fields["processes"].items()}
-            return cls(**{**fields, "processes": states})
+            return records.read_json(cls, folder.supervision)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, TypeError, KeyError) as error:
-            raise UserError(f"{folder.supervision} is damaged: {error}") from None
 
 
 class VitalSigns:

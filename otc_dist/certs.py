@@ -25,6 +25,7 @@ from otc_dist.bus.addresses import HOST_FORM, is_host
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from otc_dist.bus.keys import ANY, HOST, OBSERVER, Keys
 from otc_dist.errors import UserError, run_main
+from otc_dist.names import is_name
 from otc_dist.parser import Parser
 
 DESCRIPTION = """\
@@ -51,6 +52,8 @@ def main(argv: list[str]) -> int:
     parser = command_line()
     arguments = parser.parse_args(argv)
     if arguments.rules:
+        if not is_name(arguments.rules):
+            raise UserError(f"--rules {arguments.rules!r}: that is no run's name")
         for name, flag in parser.given(arguments).items():
             if name not in ("folder", "agents", "rules"):
                 raise UserError(f"{flag} is for certificates, and --rules makes none: leave it out")

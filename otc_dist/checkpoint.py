@@ -5,13 +5,15 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from otc_dist import durable
+from otc_dist import durable, records
 from otc_dist.errors import UserError
 
 FORMAT = 1
@@ -34,8 +36,8 @@ class Progressed:
     agent: str
     offline_digest: str
     run_digest: str
-    offline_updates: int
-    tuned: int
+    offline_updates: Annotated[int, Field(ge=0)]
+    tuned: Annotated[int, Field(ge=-1)]
     alpha: float
     similarity: float
 
@@ -82,17 +84,20 @@ def read(path: Path) -> tuple[Arrays, Progressed]:
     """
     try:
         with safe_open(path, framework="np") as file:
-            about = dict(json.loads((file.metadata() or {})["otc_dist"]))
+            text = (file.metadata() or {})["otc_dist"]
             arrays: Arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except FileNotFoundError:
         raise UserError(f"no checkpoint at {path}") from None
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"the checkpoint {path} is damaged ({error}); delete it") from None
+    about = records.from_json(dict[str, object], text, f"the checkpoint {path}")
     if about.pop("digest", None) != _seal(arrays, about):
         raise UserError(f"the checkpoint {path} is damaged (wrong digest); delete it")
-    if (version := about.pop("format")) != FORMAT:
-        raise UserError(f"the checkpoint {path} has format {version}; this version reads {FORMAT}")
-    return arrays, Progressed(**about)
+    if (version := about.pop("format", None)) != FORMAT:
+        raise UserError(
+            f"the checkpoint {path} has format {version!r:.60}; this version reads {FORMAT}"
+        )
+    return arrays, records.from_json(Progressed, json.dumps(about), f"the checkpoint {path}")
 
 
 def check_fits(path: Path, found: Progressed, mine: Progressed) -> None:

@@ -4,9 +4,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
-from otc_dist import durable
+from pydantic import Field
+
+from otc_dist import durable, records
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
@@ -20,7 +22,7 @@ class HostState:
     deployment, policies: agent -> digest of the policy that acts in deployment k.
     """
 
-    epoch: int = 0
+    epoch: Annotated[int, Field(ge=0, lt=2**32)] = 0
     deployment: int = 0
     policies: Mapping[str, str] = field(default_factory=dict)
 
@@ -33,11 +35,11 @@ class HostState:
         """
         path = _path(folder)
         try:
-            before = cls(**json.loads(path.read_text(encoding="utf-8")))
+            before = records.read_json(cls, path)
         except FileNotFoundError:
             before = cls()
-        except (OSError, ValueError, TypeError) as error:
-            raise UserError(f"{path} is damaged ({error}); it must hold the last epoch") from None
+        except UserError as error:
+            raise UserError(f"{error}; it must hold the last epoch") from None
         state = replace(before, epoch=before.epoch + 1)
         try:
             state._write(folder)

@@ -59,6 +59,15 @@ def checked_environment(text: str) -> str:
     return text
 
 
+def checked_dataset(text: str) -> str:
+    """`text`, if a data set's id: `environment/name`, else ValueError."""
+    env_id, slash, name = text.rpartition("/")
+    if slash:
+        checked_environment(env_id)
+    checked(name)
+    return text
+
+
 def check_agents(names: Iterable[str]) -> None:
     """Refuse agents one of which has no name of the right form, or that of another.
 
@@ -85,4 +94,5 @@ def _told(text: str) -> str:
 
 Name = Annotated[str, AfterValidator(checked)]
 AgentName = Annotated[str, AfterValidator(checked_agent)]
+DatasetId = Annotated[str, AfterValidator(checked_dataset)]
 EnvironmentId = Annotated[str, AfterValidator(checked_environment)]

@@ -5,8 +5,9 @@ import logging
 import os
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 
-from otc_dist import durable, keeping
+from otc_dist import durable, keeping, records
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.errors import UserError
@@ -18,6 +19,13 @@ from .process import FailureError, Run
 log = logging.getLogger(__name__)
 
 _LOOK = 0.1  # seconds between two looks for the person's file
+
+
+@dataclass(frozen=True)
+class _Evaluated:
+    """What of an evaluation is needed."""
+
+    mean_return: float
 
 
 class Gate:
@@ -107,7 +115,6 @@ class Gate:
 
     def _greedy_return(self, k: int) -> float | None:
         try:
-            told = json.loads(self._folder.evaluation(k).read_text(encoding="utf-8"))
-            return float(told["mean_return"])
-        except (OSError, ValueError, KeyError, TypeError):
+            return records.read_json(_Evaluated, self._folder.evaluation(k)).mean_return
+        except (FileNotFoundError, UserError):
             return None

@@ -1,18 +1,17 @@
 """What both services share: the command line, the run they belong to, and how they end."""
 
 import argparse
-import json
 import logging
 import signal
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import FrameType
 from typing import Self
 
-from otc_dist import output, user_code
+from otc_dist import output, records, user_code
 from otc_dist.bus.agreement import copies_by_phase, longest_message, run_spec
 from otc_dist.bus.endpoints import Door, door, local_endpoint
 from otc_dist.bus.keys import Keys
@@ -23,6 +22,7 @@ from otc_dist.envs.registry import team_spec
 from otc_dist.errors import UserError, leave, told
 from otc_dist.exploration import Schedule
 from otc_dist.inputs import Digests, check
+from otc_dist.names import Name
 from otc_dist.parser import Parser
 from otc_dist.printable import printable, say
 from otc_dist.run_folder import RunFolder
@@ -47,6 +47,15 @@ class _StoppedError(BaseException):
 
 
 @dataclass(frozen=True)
+class _Record:
+    """What of run.json, which the launcher writes, is needed."""
+
+    run: Name
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    processors: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Run:
     """A run that has been resolved: its folder, description, team and keys."""
 
@@ -68,10 +77,8 @@ class Run:
         description = Description.load(folder.description)
         user_code.allow(*description.code)
         try:
-            record = json.loads(folder.run_json.read_text(encoding="utf-8"))
-            run, noted = record["run"], dict(record.get("inputs", {}))
-            moved = len(record.get("processors", ())) > 1
-        except (OSError, ValueError, KeyError, TypeError):
+            record = records.read_json(_Record, folder.run_json)
+        except FileNotFoundError:
             raise UserError(f"{folder.run_json} does not name the run; is {root} one?") from None
         size, copies = description.deployment.transitions, description.env.copies
         if size < 1 or size % copies:
@@ -79,8 +86,9 @@ class Run:
                 f"{folder.description} is not resolved: deployment.transitions is {size},"
                 f" no multiple of env.copies ({copies})"
             )
-        keys = Keys(str(run), description.shared_digest())
-        return cls(folder, description, team_spec(description.env.id), keys, noted, moved)
+        keys, moved = Keys(record.run, description.shared_digest()), len(record.processors) > 1
+        team = team_spec(description.env.id)
+        return cls(folder, description, team, keys, record.inputs, moved)
 
     def check(self, found: Digests) -> None:
         """Raises UserError if an input is another one than when the run began."""

@@ -9,6 +9,7 @@ from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
+from otc_dist.names import is_name
 from otc_dist.run_folder import RunFolder
 
 Arms = dict[str, tuple[str, ...]]  # name -> `section.key=value` assignments
@@ -92,7 +93,7 @@ def of_single_run(name: str) -> tuple[str, ...]:
 
 def _parse_own(text: str) -> tuple[str, tuple[str, ...]]:
     name, _, assignments = text.partition("=")
-    if not name.replace("-", "").replace("_", "").isalnum() or "=" not in assignments:
+    if not is_name(name) or "=" not in assignments:
         raise UserError(
             f"--arm {text!r}: write name=section.key=value,..., like"
             " mild=sampling.name=otc,sampling.alpha=0.5"

@@ -45,7 +45,7 @@ def collect(root: Path) -> Collected:
         found = tomllib.loads(description.read_text(encoding="utf-8"))
         name, env_id = str(found["name"]), str(found["env"]["id"])
         dataset = str(found["dataset"]["name"])
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, KeyError, TypeError) as error:
+    except (OSError, ValueError, RecursionError, KeyError, TypeError) as error:
         raise UserError(f"{description} is damaged: {error}") from None
     inside = root / "seeds" if (root / "seeds").is_dir() else root
     runs: dict[str, list[Run]] = {}

@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Self
 
-from otc_dist import durable
+from otc_dist import durable, records
 from otc_dist.errors import UserError
 from otc_dist.measured import Measured, best
 from otc_dist.run_folder import RunFolder
@@ -71,15 +71,17 @@ class Run:
         found = read_json(path)
         if found.get("format") != FORMAT:
             version = found.get("format", "unknown")
-            raise UserError(f"{path} has format {version}; this version reads {FORMAT}: delete it")
+            raise UserError(
+                f"{path} has format {version!r:.60}; this version reads {FORMAT}: delete it"
+            )
         try:
             if missing := [one.name for one in fields(cls) if one.name not in found]:
-                raise KeyError(missing[0])
-            found["evaluations"] = [Evaluation(**item) for item in found["evaluations"]]
-            found["measured"] = [item and Measured(**item) for item in found["measured"]]
-            run = cls(**found)
+                raise UserError(f"{path} is damaged: it has no {missing[0]}")
+            run = records.read_json(cls, path)
             run._check()
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
+        except UserError as error:
+            raise UserError(f"{error}; delete it") from None
+        except ValueError as error:
             raise UserError(f"{path} is damaged ({error}); delete it") from None
         return run
 
@@ -183,9 +185,7 @@ def _without_nan(value: object) -> object:
 def read_json(path: Path) -> dict[str, Any]:
     """Raises UserError if `path` is missing or holds no JSON object."""
     try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        fields = records.read_json(dict[str, Any], path)
+    except (FileNotFoundError, UserError) as error:
         raise UserError(f"cannot read {path}: {error}; delete it") from None
-    if not isinstance(fields, dict):
-        raise UserError(f"{path} is damaged; delete it")
     return fields

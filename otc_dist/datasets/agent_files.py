@@ -17,16 +17,19 @@ because safetensors writes several in no fixed order, and equal data shall give 
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.names import AgentName, DatasetId, EnvironmentId
+from otc_dist.records import why
+from otc_dist.spec import Size
 from otc_dist.transitions import Transitions, choice_problem
 
 FORMAT_VERSION = 1
@@ -43,12 +46,12 @@ class Header(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     format_version: int
-    dataset: str  # "hopper-3x1/medium"
-    env_id: str
-    agent: str
-    transitions: int
-    observation_size: int
-    action_size: int
+    dataset: DatasetId  # "hopper-3x1/medium"
+    env_id: EnvironmentId
+    agent: AgentName
+    transitions: Annotated[int, Field(strict=True, ge=0, lt=2**40)]
+    observation_size: Size
+    action_size: Size
     origin: str  # how the data came about, in words
     versions: dict[str, str]  # package -> version that wrote it
     sha256: str = ""  # of this header without this field, then of the tensors by name
@@ -135,8 +138,8 @@ def _read(path: Path) -> tuple[Header, Tensors]:
                 raise UserError(f"{path} is no data set file of ours; {_remedy(path)}")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         header = Header.model_validate_json(text)
-    except ValidationError:
-        raise _damaged(path, "its header cannot be read") from None
+    except ValidationError as error:
+        raise _damaged(path, f"its header is not valid: {why(error)}") from None
     except (SafetensorError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise _damaged(path, str(error).splitlines()[0] if str(error) else "unreadable") from None
     if header.format_version != FORMAT_VERSION:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from otc_dist.datasets.agent_files import FORMAT_VERSION
 from otc_dist.envs import registry
+from otc_dist.names import AgentName, DatasetId, EnvironmentId
 from otc_dist.transitions import Bool, Float32, Float64
 
 FILE_NAME = "card.json"
@@ -64,8 +65,8 @@ class DatasetCard(_Record):
     """What a data set says of itself. Without a clock: equal data give an equal card."""
 
     format_version: int = FORMAT_VERSION
-    name: str  # "hopper-3x1/medium"
-    env_id: str
+    name: DatasetId  # "hopper-3x1/medium"
+    env_id: EnvironmentId
     transitions: int
     terminated: int  # transitions where the task ended
     truncated: int  # transitions where a time limit ended the episode
@@ -77,7 +78,7 @@ class DatasetCard(_Record):
     recipe: dict[str, str]  # all that determines the data; another recipe, other data
     notes: tuple[str, ...]  # what was dropped, reconstructed or assumed
     versions: dict[str, str]
-    files: dict[str, AgentFile]  # by agent
+    files: dict[AgentName, AgentFile]  # by agent
 
     @classmethod
     def read(cls, folder: Path) -> Self | None:

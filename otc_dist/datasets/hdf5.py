@@ -14,6 +14,8 @@ from otc_dist.extras import install
 if TYPE_CHECKING:
     import h5py
 
+_LARGEST_RATIO = 1100  # of the bytes of an array to those that are stored: Deflate's is 1,032
+_UNSTORED = 2**16  # bytes of an array that need not be stored, as those of one that has none
 _DAMAGE = (OSError, KeyError, RuntimeError, ValueError, TypeError, MemoryError)
 
 
@@ -42,11 +44,24 @@ def names(group: "h5py.Group", source: str, inside: str = "/") -> tuple[str, ...
 
 
 def array(group: "h5py.Group", name: str, source: str) -> NDArray[Any] | None:
-    """An array of a file or group, or None if it has none of that name. UserError if damaged."""
+    """An array of a file or group, or None if it has none of that name.
+
+    Raises:
+        UserError: it is damaged, lies in another file, or is larger than what is stored of it can
+            be compressed from.
+    """
     with _damage(source):
         if name not in group or not hasattr(group[name], "shape"):
             return None
-        return np.asarray(group[name][()])
+        found = group[name]
+        if found.external or found.is_virtual or found.file.filename != group.file.filename:
+            raise UserError(f"{source}: {name} lies in another file, and no other is read")
+        stored, size = found.id.get_storage_size(), found.size * found.dtype.itemsize
+        if size > _UNSTORED + _LARGEST_RATIO * stored:
+            raise UserError(
+                f"{source}: {name} is to take {size:,} bytes, of which {stored:,} are stored"
+            )
+        return np.asarray(found[()])
 
 
 def attributes(group: "h5py.Group", name: str, source: str) -> dict[str, object]:

@@ -8,13 +8,14 @@ from otc_dist.datasets import d4rl, hdf5, minari, minari_team
 from otc_dist.datasets.card import DatasetCard, episode_returns, file_sha256, team_rewards
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.log_import import is_log, read_logs
-from otc_dist.datasets.names import DatasetName, plain
+from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.own_file import import_agent_file, is_agent_file
 from otc_dist.datasets.recording import split
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
 from otc_dist.envs.robot_specs import PARTITIONS
 from otc_dist.errors import UserError
+from otc_dist.names import checked
 from otc_dist.progress import Report, silent
 from otc_dist.spec import TeamSpec
 from otc_dist.transitions import Bool, Float64
@@ -144,8 +145,10 @@ def _guess(recorded_in: str) -> str:
 
 
 def _name(env_id: str, level: str) -> DatasetName:
-    if not plain(level):
-        raise UserError(f"{level!r} cannot be a data set's name: use letters, digits and _.-")
+    try:
+        checked(level)
+    except ValueError as error:
+        raise UserError(f"a data set cannot be called so: {error}") from None
     name = DatasetName(env_id, level)
     if name.source:
         raise UserError(f"{name} is the name of a data set that we make; choose another --name")

@@ -6,6 +6,7 @@ The last observation is there, so every transition has its true successor.
 """
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from otc_dist.spec import TeamSpec
 if TYPE_CHECKING:
     import h5py
 
+_NUMBER = re.compile(r"[0-9]{1,18}")
 DATA_FILE = "main_data.hdf5"
 OUR_ENVIRONMENT = "environment"  # where the description of an export of ours names it
 EPISODE = "episode_"
@@ -50,7 +52,7 @@ def environment(path: Path) -> str:
         try:
             metadata = json.loads((path.parent / "metadata.json").read_text(encoding="utf-8"))
             return str(json.loads(metadata[field])[name])
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             continue
     return ""
 
@@ -58,7 +60,7 @@ def environment(path: Path) -> str:
 def episodes(file: "h5py.File", source: str) -> list[str]:
     """The names of the episodes, in their order. Raises UserError: damage."""
     found = [name for name in names(file, source) if name.startswith(EPISODE)]
-    if bad := [name for name in found if not name.removeprefix(EPISODE).isdecimal()]:
+    if bad := [name for name in found if not _NUMBER.fullmatch(name.removeprefix(EPISODE))]:
         raise UserError(f"{source}: {bad[0]} is no episode's name")
     return sorted(found, key=lambda name: int(name.removeprefix(EPISODE)))
 

@@ -4,7 +4,6 @@ A name is `<env_id>/<level>`: a level that the task's `Source` makes when it is 
 that an import gave. The folder of a set is `<cache>/datasets/<env_id>/<level>/<transitions>`.
 """
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from otc_dist.datasets.source import Source
 from otc_dist.datasets.sources import source_of
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
+from otc_dist.names import is_name
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class DatasetName:
     def parse(cls, name: str) -> "DatasetName":
         """Raises UserError, with the nearest known name, if there is no such data set."""
         env_id, _, level = name.rpartition("/")
-        if registry.known(env_id) and plain(level):
+        if registry.known(env_id) and is_name(level):
             parsed = cls(env_id, level)
             if parsed.source or parsed.sizes():
                 return parsed
@@ -76,11 +76,6 @@ class DatasetName:
 
     def __str__(self) -> str:
         return f"{self.env_id}/{self.level}"
-
-
-def plain(level: str) -> bool:
-    """Whether `level` can be a folder's name everywhere: letters, digits, and `_.-` inside."""
-    return re.fullmatch(r"\w[\w.-]*", level, re.ASCII) is not None
 
 
 def known_names() -> tuple[DatasetName, ...]:

@@ -102,7 +102,7 @@ def scheduled_steps(header: LogHeader) -> int | None:
         told = tomllib.loads(header.description)
         transitions, copies = told["deployment"]["transitions"], told["env"]["copies"]
         exploration = told["deployment"].get("exploration", "none")
-    except (tomllib.TOMLDecodeError, KeyError, TypeError, AttributeError):
+    except (ValueError, RecursionError, KeyError, TypeError, AttributeError):
         return None
     if not (type(transitions) is type(copies) is int and transitions >= copies > 0):
         return None

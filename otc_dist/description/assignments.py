@@ -21,7 +21,7 @@ def assign(data: dict[str, object], assignment: str) -> None:
         raise UserError(f"--set {assignment!r}: write section.key=value, like sampling.alpha=0.5")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         value = text.strip()  # a bare word is a string
     target = data
     for section in sections:

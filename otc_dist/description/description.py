@@ -31,6 +31,7 @@ from otc_dist.description.sections import (
     SamplingSection,
 )
 from otc_dist.errors import UserError
+from otc_dist.names import Name
 
 # What a summary speaks of.
 TOLD = (
@@ -47,7 +48,7 @@ TOLD = (
 class Description(Section):
     """A whole run. `launch/*.toml` are descriptions; the run folder keeps the resolved one."""
 
-    name: str
+    name: Name
     summary: str = ""
     seed: int = Field(default=0, ge=0, lt=2**31)
     minibatch_key: int = Field(default=0, ge=0, description="other minibatches while tuning")
@@ -136,7 +137,7 @@ class Description(Section):
         """As `load`, from TOML that `source` holds."""
         try:
             data = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except (ValueError, RecursionError) as error:  # of TOML, of a number, of too many brackets
             raise UserError(f"{source} is not valid TOML: {error}") from None
         return cls.build(data, assignments, source=source)
 

@@ -7,6 +7,7 @@ from pydantic_core import PydanticCustomError
 
 from otc_dist.description.distances import DISTANCES
 from otc_dist.description.section import Section
+from otc_dist.names import DatasetId, EnvironmentId
 
 EngineName = Literal["auto", "compiled", "cuda-graph", "eager"]
 SamplingName = Literal["otc", "uniform", "online-only", "balanced"]
@@ -29,7 +30,7 @@ DistanceName = Annotated[str, AfterValidator(_known_distance)]
 class EnvSection(Section):
     """The task, and how many copies of it the env host steps together."""
 
-    id: str = Field(description="environment, for example hopper-3x1")
+    id: EnvironmentId = Field(description="environment, for example hopper-3x1")
     agents: PositiveInt | None = Field(
         default=None, description="of a task for any number: replaces the number in its id"
     )
@@ -39,7 +40,7 @@ class EnvSection(Section):
 class DatasetSection(Section):
     """The offline data B_0 of every agent."""
 
-    name: str = Field(description="B_0, as hopper-3x1/medium-replay; its level alone will do")
+    name: DatasetId = Field(description="B_0, as hopper-3x1/medium-replay; its level alone will do")
     transitions: int = Field(
         default=0, ge=0, description="size of B_0; 0: the data set's usual size"
     )
@@ -164,7 +165,7 @@ class OfflineSection(Section):
 class DeploymentSection(Section):
     """The K deployments and the tuning after each."""
 
-    count: int = Field(default=10, ge=0, description="K, deployments")
+    count: int = Field(default=10, ge=0, le=10_000, description="K, deployments")
     turns: bool = Field(
         default=False,
         description="agents tune in turns, one after each deployment: 1/N of all updates",

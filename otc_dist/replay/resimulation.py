@@ -66,7 +66,7 @@ def simulator(log: OpenLog) -> BatchedEnv:
         env = registry.make(
             header.team.env_id, header.copies, progress(header.deployment, int(count))
         )
-    except (tomllib.TOMLDecodeError, KeyError, TypeError):
+    except (ValueError, RecursionError, KeyError, TypeError):
         raise UserError(f"the description in {log.path} lacks deployment.count") from None
     except UserError as error:
         raise UserError(f"{log.path} cannot be played again here: {error}") from None

@@ -1,6 +1,5 @@
 """What a run folder holds so far, read without trust: what is missing or damaged is noted."""
 
-import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -8,13 +7,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
-from otc_dist import keeping
+from otc_dist import keeping, records
 from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.description import Description
 from otc_dist.description.distances import TOLD
 from otc_dist.errors import UserError
 from otc_dist.measured import Measured, TooFewError
-from otc_dist.report import uniform
+from otc_dist.report import files, uniform
 from otc_dist.report.uniform import Uniform
 from otc_dist.run_folder import RunFolder
 
@@ -63,8 +62,8 @@ class RunData:
 
     folder: RunFolder
     description: Description
-    record: dict[str, object]  # run.json
-    card: dict[str, object] | None  # of the data set
+    record: files.Record  # run.json
+    card: files.Card | None  # of the data set
     evaluations: list[Evaluation]  # in order of k
     agents: list[AgentHistory]
     deployments: int  # finished ones
@@ -120,8 +119,8 @@ def read_run(folder: RunFolder) -> RunData:
     description = Description.load(folder.description)
     problems: list[str] = []
 
-    record = _attempt(folder.run_json, _read_object, problems)
-    card = _attempt(folder.dataset_card, _read_object, problems)
+    record = _attempt(folder.run_json, files.record, problems)
+    card = _attempt(folder.dataset_card, files.card, problems)
     evaluations = []
     for k in range(description.deployment.count + 1):
         path = folder.evaluation(k)
@@ -183,75 +182,62 @@ def _attempt(path: Path, read: Callable[[Path], T], problems: list[str]) -> T | 
         return read(path)
     except FileNotFoundError:
         problems.append(f"{path.name} is missing")
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+    except (UserError, ValueError) as error:
+        problems.append(f"{path.name} cannot be read: {error}".replace(str(path), path.name))
+    except OSError as error:
         problems.append(f"{path.name} cannot be read: {type(error).__name__}")
     return None
 
 
-def _read_object(path: Path) -> dict[str, object]:
-    value = json.loads(path.read_bytes())
-    if not isinstance(value, dict):
-        raise TypeError("not a JSON object")
-    return value
-
-
 def _read_evaluation(path: Path) -> Evaluation:
-    data = json.loads(path.read_bytes())
-    score, successes = data["normalised_score"], data.get("successes")
-    evaluation = Evaluation(
-        deployment=int(data["evaluation"]),
-        returns=[float(value) for value in data["returns"]],
-        lengths=[int(value) for value in data["lengths"]],
-        seeds=[int(value) for value in data["seeds"]],
-        normalised_score=None if score is None else float(score),
-        policies={str(agent): str(digest) for agent, digest in data["policies"].items()},
-        successes=None if successes is None else [bool(value) for value in successes],
+    found = files.evaluated(path)
+    return Evaluation(
+        deployment=found.evaluation,
+        returns=found.returns,
+        lengths=found.lengths,
+        seeds=found.seeds,
+        normalised_score=found.normalised_score,
+        policies=dict(found.policies),
+        successes=found.successes,
     )
-    if not evaluation.returns or not all(map(math.isfinite, evaluation.returns)):
-        raise ValueError("no returns, or a return that is not finite")
-    return evaluation
 
 
 def _read_history(path: Path) -> AgentHistory:
     history = AgentHistory(path.parent.name)
     for line in _lines(path):
-        phase, deployment = str(line["phase"]), int(str(line["deployment"]))
-        metrics, update = line["metrics"], int(str(line["update"]))
-        if not isinstance(metrics, dict):
-            raise TypeError("metrics are no JSON object")
-        if phase == "tuning":
+        update = line.update
+        if line.phase == "tuning":
             # A learner that was restarted repeats itself: the same values at the same places.
-            update += (deployment - 1) * int(str(line["updates"]))
-            if int(str(line["update"])) == 0:
-                told = {name: _number(metrics[name]) for name in TOLD if name in metrics}
-                history.tunings[deployment] = Tuning(deployment, told)
-        curves = history.curves.setdefault(phase, {})
-        for name, value in metrics.items():
-            curves.setdefault(str(name), {})[update] = _number(value)
+            update += (line.deployment - 1) * line.updates
+            if line.update == 0:
+                told = {name: _number(line.metrics[name]) for name in TOLD if name in line.metrics}
+                history.tunings[line.deployment] = Tuning(line.deployment, told)
+        curves = history.curves.setdefault(line.phase, {})
+        for name, value in line.metrics.items():
+            curves.setdefault(name, {})[update] = _number(value)
     return history
 
 
-def _number(value: object) -> float:
-    return math.nan if value is None else float(str(value))
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
-def _lines(path: Path) -> Iterator[dict[str, object]]:
-    """The JSON objects of a file, one a line; a last line that was cut off is left out.
+def _lines(path: Path) -> Iterator[files.Line]:
+    """The lines of metrics.jsonl; a last one that was cut off is left out.
 
     So is the beginning of one that another was written behind, as earlier versions did.
     """
     lines = path.read_text(encoding="utf-8").splitlines()
     for i, text in enumerate(lines):
+        whole = max(text.rfind('{"phase"'), 0)
         try:
-            yield json.loads(text)
-        except ValueError:
-            if (whole := text.rfind('{"phase"')) > 0:
-                yield json.loads(text[whole:])
-            elif i != len(lines) - 1:
+            yield records.from_json(files.Line, text[whole:], path)
+        except UserError:
+            if i != len(lines) - 1:
                 raise
 
 
-def _wall_seconds(folder: RunFolder, record: dict[str, object]) -> float | None:
+def _wall_seconds(folder: RunFolder, record: files.Record) -> float | None:
     """From the start to the end, or to the newest result where no end is noted."""
     try:
         started = datetime.fromisoformat(str(record["started"])).timestamp()
