@@ -70,10 +70,10 @@ def test_another_algorithm_brings_its_own_defaults() -> None:
 
 
 def test_assignments_reach_sections_and_keep_the_rest() -> None:
-    description = minimal("sampling.distance=value", "sampling.alpha = 0.5", "name=y z")
+    description = minimal("sampling.distance=value", "sampling.alpha = 0.5", "name=y-z")
     assert description.sampling.distance == "value"
     assert description.sampling.alpha == 0.5
-    assert description.name == "y z"
+    assert description.name == "y-z"
     more = description.with_assignments("sampling.alpha=2", "env.copies=8")
     assert (more.sampling.alpha, more.sampling.distance, more.env.copies) == (2, "value", 8)
     assert description.sampling.alpha == 0.5

@@ -7,6 +7,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Self
 
+from pydantic import ConfigDict
+
 from otc_dist import durable, records
 from otc_dist.errors import UserError
 from otc_dist.measured import Measured, best
@@ -44,6 +46,8 @@ class Run:
             first `horizon` steps of its episodes; None where too few episodes had room for them.
         best: the deployment with the greatest estimate, from 1; None if one could not be measured.
     """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     arm: str
     seed: int
