@@ -8,7 +8,7 @@ import json
 import logging
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -33,6 +33,7 @@ from otc_dist.host_state import HostState
 from otc_dist.processor import kind
 from otc_dist.transitions import Float32, JointStep
 
+from .acting import confirmed
 from .gate import Gate
 from .history import history_of
 from .host_bus import open_bus
@@ -107,10 +108,10 @@ class EnvHost:
         self._enter("evaluation", k, rounds * self._run.team.max_episode_steps)
         env = registry.make(env_id, copies, self._description.progress(k))
         rollout = self._rollout = Rollout(env, self._description.seed, "evaluation", k, episodes)
-        policies: dict[str, str] = {}
+        policies: Mapping[str, str] = {}
         while not rollout.finished:
             answers = self._ask("evaluation", k, rollout.step, rollout.observations, None)
-            self._check_policies(policies, answers, f"evaluation {k}")
+            policies = self._confirmed(policies, answers, f"evaluation {k}")
             rollout.advance(_actions(answers), self._greedy)
         env.close()
         mean = sum(rollout.episode_returns) / episodes
@@ -156,7 +157,7 @@ class EnvHost:
             try:
                 while rollout.step < self._schedule.steps:
                     answers = self._ask("deployment", k, rollout.step, rollout.observations, last)
-                    self._check_deployed(k, answers)
+                    self._note_deployed(k, answers)
                     tags = self._schedule.exploring(rollout.step)
                     last = rollout.advance(_actions(answers), tags)
                     self._gate.check_rewards(last)
@@ -218,33 +219,19 @@ class EnvHost:
         """Behaviour tags: no agent explores."""
         return (False,) * len(self._run.team.agents)
 
-    def _check_deployed(self, k: int, answers: Sequence[Action]) -> None:
+    def _note_deployed(self, k: int, answers: Sequence[Action]) -> None:
         """Note, before the first step is logged, which policies act; they must stay the same."""
-        if self._state.deployment != k:
-            policies = dict(zip(self._run.team.names, (a.policy for a in answers), strict=True))
-            self._state = self._state.deploying(k, policies, self._folder)
-        policies = dict(self._state.policies)
-        self._check_policies(policies, answers, f"deployment {k}")
-        if policies != self._state.policies:
-            self._state = self._state.deploying(k, policies, self._folder)
+        begun = self._state.policies if self._state.deployment == k else {}
+        acting = self._confirmed(begun, answers, f"deployment {k}")
+        if acting != begun:
+            self._state = self._state.deploying(k, acting, self._folder)
 
-    def _check_policies(
-        self, policies: dict[str, str], answers: Sequence[Action], where: str
-    ) -> None:
-        for agent, answer in zip(self._run.team.names, answers, strict=True):
-            if policies.setdefault(agent, answer.policy) == answer.policy:
-                continue
-            changed = (
-                f"{agent} acts by another policy ({answer.policy}) than it began {where} with"
-                f" ({policies[agent]}): its checkpoint was lost, and its training"
-            )
-            if not self._run.moved:
-                raise FailureError(
-                    f"{changed} did not repeat itself to the bit, as it does on one kind of"
-                    " processor and with the same libraries"
-                )
-            log.warning("%s comes out otherwise on this kind of processor; it goes on", changed)
-            policies[agent] = answer.policy
+    def _confirmed(
+        self, begun: Mapping[str, str], answers: Sequence[Action], where: str
+    ) -> Mapping[str, str]:
+        policies = (answer.policy for answer in answers)
+        acting = dict(zip(self._run.team.names, policies, strict=True))
+        return confirmed(begun, acting, where, self._run.moved)
 
     def _enter(self, phase: str, k: int, total: int) -> None:
         self._phase, self._deployment, self._total = phase, k, total

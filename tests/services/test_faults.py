@@ -80,11 +80,10 @@ def test_a_policy_that_another_kind_of_processor_trained_again_goes_on(
     run.start("host", hold=["deployment", 1, 10, str(gate)])
     for agent in AGENTS:
         run.start(agent, stub=True)
-    run.wait_for_file(partial_path(run.folder.deployment(1)))
-    run.stop("agent_1", signal.SIGKILL)
-    run.folder.checkpoint("agent_1", 0).unlink()
-    run.start("agent_1", stub="elsewhere")
-    gate.open("w").close()
+    with gate.open("w"):  # the host has come to it, and waits
+        run.stop("agent_1", signal.SIGKILL)
+        run.folder.checkpoint("agent_1", 0).unlink()
+        run.start("agent_1", stub="elsewhere")
     assert set(run.wait_all().values()) == {0}, run.output("host")
     told = run.output("host")
     assert "than it began deployment 1 with" in told and "on this kind of processor" in told
