@@ -52,7 +52,9 @@ def page(
         f" ({', '.join(map(str, summary.seeds))}), {summary.episodes} greedy episodes each"
     )
     notices = [html.notice(f"This is {label}.", "Sizes are far below a run's.")] if label else []
-    if count < ENOUGH:
+    if count == 1:
+        notices.append(html.notice("One seed.", "What it shows may be chance; no claim."))
+    elif count < ENOUGH:
         notices.append(
             html.notice(f"Fewer than {ENOUGH} seeds.", "The intervals are too narrow; no claim.")
         )
