@@ -65,7 +65,7 @@ def observing(plan: Plan, run: str, take: Callable[[Sign | Waiting], None]) -> I
 
 def nobody_of_run(plan: Plan, run: str) -> str:
     """One line if others are met where a learner is to meet its env host, but not that one: most
-    likely it has another --seed. "" if it is there, or nobody at all.
+    likely it has another --seed. Empty if it is there, or nobody at all.
     """
     if plan.place.role != "learner":
         return ""
@@ -83,8 +83,8 @@ def nobody_of_run(plan: Plan, run: str) -> str:
 
 def _stranger(door: Door, run: str) -> str:
     return (
-        f"waiting for {door.endpoint}: no env host of run {run!r} is there; does it run a"
-        " description of this name, with this --seed?"
+        f"waiting for {door.endpoint}: no env host of run {run!r} is there; does it run this very"
+        " description (its name, --set and --seed)?"
     )
 
 

@@ -150,7 +150,7 @@ def test_a_learner_of_another_seed_is_told_at_once_and_from_time_to_time(
     own = door(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)
     said = (
         f"waiting for tls/127.0.0.1:{port}: no env host of run '3agent_hopper-seed1' is there;"
-        " does it run a description of this name, with this --seed?"
+        " does it run this very description (its name, --set and --seed)?"
     )
     signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
     with Session.listen([own], QUICK_PAYLOAD) as session:

@@ -130,7 +130,7 @@ def test_mistakes(
     assert "test-team do not tell what it looks like" in said and "--html" in said
     monkeypatch.setitem(sys.modules, "av", None)
     said = refused(path, "--video", tmp_path / "out.mp4")
-    assert "needs the package av" in said and "'.[video]'" in said
+    assert "needs the package av" in said and "-m pip install 'av" in said
     assert [p.name for p in tmp_path.iterdir()] == ["there.mp4"]
     assert (tmp_path / "there.mp4").read_bytes() == b"mine"
 
