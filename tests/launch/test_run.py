@@ -116,13 +116,13 @@ def test_a_launcher_killed_while_the_report_is_made_goes_on_with_the_report(
     shutil.copytree(reference.root, folder.root)
     folder.report.unlink()
     held = folder.results.with_name("results.json.partial")
-    os.mkfifo(held)
+    os.mkfifo(held)  # from which nobody reads: who writes the report waits there
     launcher = launch("--resume", str(folder.root))
-    with held.open("rb"):  # it writes there: it is about to make the report
-        launcher.process.kill()
-        assert RunRecord.read(folder).state == "reporting"
+    launcher.read_until(lambda line: line.endswith(str(folder.root)))
+    assert RunRecord.read(folder).state == "reporting"
+    launcher.process.kill()
+    launcher.finish()  # whoever wrote to it has ended, too
     held.unlink()
-    launcher.finish()
     assert status_of(folder.root, capsys)["state"] == "interrupted"
 
     resumed = launch("--resume", str(folder.root))
