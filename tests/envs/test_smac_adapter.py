@@ -220,5 +220,8 @@ def test_without_the_package_one_line_says_what_to_install(tmp_path, command):
         cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert ended.returncode == 2
-    assert ended.stderr.startswith("error: smac/5m_vs_6m needs SMAC, and smac.env is missing: pip")
+    assert ended.stderr.startswith(
+        "error: smac/5m_vs_6m needs SMAC, and smac.env is missing:"
+        f" {sys.executable} -m pip install git+https://"
+    )
     assert ended.stderr.count("\n") == 1
