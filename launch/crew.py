@@ -54,9 +54,21 @@ class Crew:
         for name in [name for name, when in self._due.items() if when <= now]:
             del self._due[name]
             if name == HOST:
-                self._socket = self._plan.place.local_socket(self._plan.folder.root)
+                self._find_socket()
             self._supervisor.start(name, self._commands[name], self._plan.folder.output(name))
             self.health.started(name, self._supervisor.pid(name), now)
+
+    def _find_socket(self) -> None:
+        """Where the env host will listen; who was elsewhere finds it there, started again."""
+        before, self._socket = self._socket, self._plan.place.local_socket(self._plan.folder.root)
+        if before in (None, self._socket):
+            return
+        for name in self._supervisor.running:
+            self._kill(name, f"waits where the bus was: it is at {self._socket} now")
+
+    def _kill(self, name: str, why: str) -> None:
+        self.health.events.append(f"{name}: {why}; killed")
+        self._supervisor.kill(name)
 
     def take(self, sign: Sign) -> None:
         """Note a sign of life."""
@@ -89,8 +101,7 @@ class Crew:
         if self._socket is not None and not self._socket.exists():
             lost |= self.health.cut_off(f"has lost the bus's socket, {self._socket}")
         for name, why in lost.items():
-            self.health.events.append(f"{name}: {why}; killed")
-            self._supervisor.kill(name)
+            self._kill(name, why)
         return self._finished
 
     def _start_again(self, end: End, now: float) -> None:

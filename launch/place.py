@@ -114,13 +114,16 @@ class Place:
         names = {"all": (HOST, *team.names), "host": (HOST,), "learner": (self.agent,)}
         return names[self.role]
 
-    def flags(self) -> Iterator[str]:
-        """What the command lines of the processes say of where they meet the others."""
+    def flags(self, host: bool) -> Iterator[str]:
+        """What the command line of a process says of where it meets the others.
+
+        A learner waits for its env host in any case, which is looked after by a launcher.
+        """
         if self.connect:
             yield from ("--connect", self.connect)
         elif self.listen:
             yield from ("--listen", self.listen)
-        if self.role != "all":
+        if self.role != "all" or not host:
             yield from ("--patience", str(_PATIENCE))
         if self.certs:
             yield from ("--certs", self.certs)

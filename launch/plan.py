@@ -193,6 +193,6 @@ def make(description: Description, folder: RunFolder, run: str, place: Place) ->
         whose = () if host else ("--agent", name)
         command = (sys.executable, "-m", module, "--run", str(folder.root), *whose)
         uses = keys.host_uses(spec.names) if host else keys.learner_uses(name)
-        return Process(name, (*command, *place.flags()), uses)
+        return Process(name, (*command, *place.flags(host)), uses)
 
     return Plan(description, folder, spec, tuple(map(process, place.processes(spec))), place)

@@ -304,7 +304,7 @@ def main() -> None:
         with Session.connect(door, run.maximum_payload, deadline) as session:
             rejections = Rejections()
             router = bool(run.description.bus.router)
-            if not router:  # the env host listens, so it can answer
+            if there and not router:  # the env host has let us in, so it can answer
                 deadline = run.description.bus.answer_deadline
             waiting = Status(agent.name, "waiting")
             with Heartbeat(session, run.keys, agent.name, rejections, lambda: waiting):

@@ -61,6 +61,8 @@ def test_of_a_run_with_a_long_path_it_is_in_the_temporary_folder(
     temporary.chmod(0o2770)  # what is made in it inherits the bit
     folder = lies_in(temporary / LONG)
     assert folder.parent == temporary and folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o2700)
+    assert lies_in(temporary / LONG) == folder
     assert folder != lies_in(temporary / (LONG + "2"))
     remove_local_endpoint(local_endpoint(temporary / LONG))
     assert not folder.exists()

@@ -110,23 +110,34 @@ def test_a_host_that_starts_again_finds_the_learners_that_had_ended(
     assert count(path) == 2
 
 
+@pytest.mark.parametrize("moves", [False, True])
 def test_an_env_host_to_whom_nobody_can_come_any_more_is_started_again(
-    crew_of: Callable[..., Crew], tmp_path: Path
+    crew_of: Callable[..., Crew], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: bool
 ) -> None:
-    """A clean-up has taken the folder of the bus's socket; the links that are there hold."""
-    path = tmp_path / "count"
-    listening = "import pathlib, sys\npathlib.Path(sys.argv.pop()).touch()\n" + COUNT
-    hangs = "import signal\nif count == 1: signal.pause()\n"
-    script = listening.replace("raise SystemExit", hangs + "raise SystemExit")
-    socket = tmp_path / ".bus" / "bus"
-    crew = crew_of(host=[script, str(path), "2", "1", str(socket)])
+    """A clean-up has taken the folder of the bus's socket; the links that are there hold.
+
+    Where the folder cannot be made again at the same place, the others are started again, too.
+    """
+    path, agent, socket = tmp_path / "count", tmp_path / "agent", tmp_path / ".bus" / "bus"
+    places = [socket, tmp_path / "bus" if moves else socket]
+    monkeypatch.setattr(Place, "local_socket", lambda *_: places.pop(0))
+    listens = "import pathlib, sys\nsocket = pathlib.Path(sys.argv.pop())\n"
+    listens += "socket.parent.mkdir(exist_ok=True)\nsocket.touch()\n"
+    waits = "import signal\nif count == 1: signal.pause()\nraise SystemExit"
+    waiting = COUNT.replace("raise SystemExit", waits)
+    crew = crew_of(
+        host=[listens + waiting, str(path), "2", "1", str(socket)],
+        agent_0=[waiting if moves else COUNT, str(agent), "0", "1"],
+    )
     work(crew, until=socket.exists)
     crew.take(Token(HOST, alive=True))
-    work(crew, until=lambda: path.exists() and count(path) == 1)
+    work(crew, until=lambda: all(p.exists() and count(p) == 1 for p in (path, agent)))
     assert crew.drain_events() == []
     shutil.rmtree(socket.parent)
     work(crew)
-    assert count(path) == 2
+    assert (count(path), count(agent)) == (2, 2)  # who has ended well is asked once more
     assert crew.health.lives[HOST].last_end == (
         f"was killed by SIGKILL, since it has lost the bus's socket, {socket}"
     )
+    told = f"agent_0: waits where the bus was: it is at {tmp_path / 'bus'} now; killed"
+    assert (told in crew.drain_events()) == moves

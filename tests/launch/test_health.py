@@ -213,6 +213,8 @@ def test_whom_a_host_waits_for_that_says_nothing_any_more_is_not_held_against_ot
     health.take(Status("host", "deployment", 1, 7, 100, awaits=("agent_0",)), 0.0)
     hear(health, DEADLINE, READY)
     assert health.lost(DEADLINE, at_rest) == {"host": f"has said nothing for {DEADLINE:g} s"}
+    health.take(READY, DEADLINE + 10)
+    assert health.lost(DEADLINE + 10, at_rest) == {}
 
 
 @pytest.mark.parametrize("phase", ["gathering", "approval"])
@@ -243,8 +245,17 @@ def test_a_host_that_never_listens_is_lost_though_nothing_can_be_heard() -> None
     assert health.lost(DEADLINE, at_rest) == {"host": f"has not come for {DEADLINE:g} s"}
 
 
-def test_time_in_which_others_kept_a_process_from_running_does_not_count(health: Health) -> None:
+def test_who_is_kept_from_running_while_it_starts_is_not_stuck(health: Health) -> None:
     """On a machine that is busy, importing a library alone may take longer than the deadline."""
+    kept = {100: 0.0, 101: 0.0}
+    for second in range(100):
+        kept[101] = 0.9 * second
+        health.take(Status("host", "gathering"), float(second))
+        health.take(Status("agent_0", "starting"), float(second))
+        assert health.lost(float(second), at_rest, kept.__getitem__) == {}
+
+
+def test_time_in_which_others_kept_a_process_from_running_does_not_count(health: Health) -> None:
     kept: dict[int, float] = {100: 0.0, 101: 0.0}
     asking = Status("host", "deployment", 1, 7, 100, awaits=("agent_0",))
     for second in range(100):
