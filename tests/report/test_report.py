@@ -97,6 +97,29 @@ def test_the_page_is_whole_and_needs_nothing_else(made) -> None:
     assert "not a result" not in page.text and "not complete" not in page.text
 
 
+def test_a_phone_gets_charts_that_are_drawn_for_it(made) -> None:
+    """And no letter is smaller there than on a screen."""
+    report(made)
+    html = made.folder.report.read_text(encoding="utf-8")
+    pairs = re.findall(r'class="(wide|narrow)"><svg class="chart" viewBox="0 0 (\d+) ', html)
+    assert pairs == [("wide", "960"), ("narrow", "360")] * 2
+    assert "min-width: 400px" not in html and "@media screen and (max-width: 700px)" in html
+
+
+def test_charts_of_one_quantity_have_axes_of_one_kind(made) -> None:
+    """Alpha alone is spread so widely that its axis is logarithmic: then so is that of 𝔻."""
+    made.report("agent_0", "tuning", 3, 0, 100, alpha=1000.0, similarity=2.0)
+    report(made)
+    html = made.folder.report.read_text(encoding="utf-8")
+    charts = {
+        title: re.findall(r'text-anchor="(?:end|middle)">([\d.,]+)</text>', svg)
+        for title, svg in re.findall(r'aria-label="([^"]+)".*?</title>(.*?)</svg>', html)
+    }
+    alpha, similarity = (charts[title] for title in charts if title[:5] in ("Prior", "Expec"))
+    assert "1,000" in alpha and {"1", "2"} <= set(similarity)  # 1, 2, 5 and so on
+    assert alpha[-4:] == similarity[-4:] == ["0", "1", "2", "3"]  # deployments
+
+
 def test_a_task_without_reference_returns_has_no_score(made) -> None:
     for k in range(4):
         data = json.loads(made.folder.evaluation(k).read_text())
