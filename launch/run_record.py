@@ -1,9 +1,9 @@
 """run.json and the lock: what a run is, where it stands, and who may go on with it."""
 
-import hashlib
 import json
 import os
 import platform
+import secrets
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -99,7 +99,7 @@ def create(
     """
     started = _now()
     record = RunRecord(
-        run=_own_name(folder, started) if place.role == "all" else shared_name(description),
+        run=_own_name(folder) if place.role == "all" else shared_name(description),
         description=description.digest(),
         command=["python", "-m", "otc_dist.launch", *sys.argv[1:]],
         versions=versions(),
@@ -119,10 +119,9 @@ def shared_name(description: Description) -> str:
     return names.from_text(f"{description.name}-seed{description.seed}")
 
 
-def _own_name(folder: RunFolder, started: str) -> str:
+def _own_name(folder: RunFolder) -> str:
     """The name of a run on one machine: told apart, should two of one name meet on a router."""
-    digest = hashlib.blake2b(f"{folder.root}{started}".encode(), digest_size=3).hexdigest()
-    return f"{names.from_text(folder.root.name)[: names.LONGEST - 7]}-{digest}"
+    return f"{names.from_text(folder.root.name)[: names.LONGEST - 7]}-{secrets.token_hex(3)}"
 
 
 def _begun(folder: RunFolder) -> tuple[RunRecord, Description]:
