@@ -242,6 +242,8 @@ def test_a_status_survives_the_wire_without_what_is_not_finite() -> None:
         (2, "agent_1", "agent"),
         (3, 5, "type"),
         (3, "x" * 300, "type"),
+        (3, "tuning\x1b[2J", "type"),
+        (8, {"loss\n": 0.0}, "type"),
         (5, -1, "type"),
         (7, float("inf"), "not-finite"),
         (8, [], "type"),
@@ -259,6 +261,16 @@ def test_a_bad_status_is_rejected(field: int, value: object, reason: str) -> Non
 def test_the_spec_survives_the_wire() -> None:
     spec = RunSpec("hopper-3x1", (AGENT, AgentSpec("agent_1", 4, (0.0,), (2.0,), 3)), DIGEST)
     assert decode_spec(encode_spec("run", spec), "run") == spec
+
+
+@pytest.mark.parametrize("names", [("../x", "b"), ("a", "a"), ("host", "b"), ("a", "\u202e")])
+def test_a_spec_with_names_that_will_not_do_is_rejected(names: tuple[str, str]) -> None:
+    agents = tuple(AgentSpec(name, 4, (0.0,), (2.0,), 3) for name in names)
+    with pytest.raises(RejectedError) as rejected:
+        decode_spec(encode_spec("run", RunSpec("hopper-3x1", agents, DIGEST)), "run")
+    assert rejected.value.reason in ("name", "type")
+    with pytest.raises(RejectedError):
+        decode_spec(encode_spec("run", RunSpec("../x", (AGENT,), DIGEST)), "run")
 
 
 def _history(rows: int) -> Transitions:
