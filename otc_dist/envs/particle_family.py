@@ -38,7 +38,8 @@ _FOR_ANY_NUMBER = {
         cooperative_navigation.CooperativeNavigationTask,
     ),
 }
-_NUMBERED = re.compile(rf"({'|'.join(_FOR_ANY_NUMBER)})-(0|[1-9]\d*)", re.ASCII)
+# A log can ask for any number, and a team is made to be compared with it: up to 9,999.
+_NUMBERED = re.compile(rf"({'|'.join(_FOR_ANY_NUMBER)})-(0|[1-9]\d{{0,3}})", re.ASCII)
 
 
 def knows(env_id: str) -> bool:

@@ -54,3 +54,10 @@ def test_environments_and_generation_need_no_torch_and_specs_no_simulator():
         "assert 'torch' not in sys.modules\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize("env_id", ["predator-prey-10000", f"cooperative-navigation-{10**30}"])
+def test_a_number_of_agents_that_no_team_has_is_unknown(env_id: str) -> None:
+    assert not registry.known(env_id)
+    with pytest.raises(UserError, match="unknown environment"):
+        registry.team_spec(env_id)
