@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from otc_dist import user_code
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_files
 from otc_dist.datasets.joint import JointTransitions
@@ -147,6 +148,7 @@ def test_a_joint_minari_set_is_imported_like_the_logs_it_was_made_of(
 ) -> None:
     monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
     env_id = "mpe2.simple_push_v3:parallel_env" if env_id == "simple" else env_id
+    user_code.allow(env_id)
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for deployment, path in enumerate(paths, 1):
         play(env_id, path, 40, run="a", deployment=deployment)
@@ -178,6 +180,22 @@ def test_episodes_whose_beginning_was_not_exported_count_as_cut(
     assert 0 < len(returns) < len(part) - 2 and card.returns is not None
     assert card.returns.mean == pytest.approx(np.mean(returns))
     assert (card.episodes, card.incomplete_episodes) == (len(returns), len(part) - len(returns))
+
+
+def test_a_step_that_did_not_happen_is_left_out_of_a_joint_minari_set(
+    hopper: Deployments, replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
+    replay(hopper.paths[0], "--export", "minari", "--out", tmp_path / "out", "--steps", "0:60")
+    place = tmp_path / "out" / "joint-v0"
+    whole = import_files([place], "whole")
+    with h5py.File(place / "data" / "main_data.hdf5", "r+") as file:
+        assert file["episode_0/terminations"][-1] and whole.returns is not None
+        file["episode_0/truncations"][-1] = True
+    card = import_files([place], "broken")
+    assert card.transitions == whole.transitions - 1
+    assert card.episodes == whole.episodes - 1
+    assert "without 1 steps whose simulator broke off" in card.notes
 
 
 def test_a_joint_minari_set_of_another_team_or_damaged_is_refused_in_one_line(
