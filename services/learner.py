@@ -6,11 +6,9 @@ or, after a restart, asks of the env host's log.
 """
 
 import logging
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from otc_dist import inputs
-from otc_dist.bus.endpoints import local_socket
 from otc_dist.bus.handshake import agree
 from otc_dist.bus.history import History
 from otc_dist.bus.lockstep import GaveUpError, LearnerLockstep
@@ -41,15 +39,8 @@ class LearnerService:
     """One agent's learner: pi_0, then whatever the env host asks, until it says done."""
 
     def __init__(
-        self,
-        run: Run,
-        agent: AgentSpec,
-        session: Session,
-        rejections: Rejections,
-        socket: Path | None = None,
+        self, run: Run, agent: AgentSpec, session: Session, rejections: Rejections
     ) -> None:
-        """`socket`: of the bus, if it is one of this machine."""
-        self._socket = socket
         self._run, self._agent, self._name = run, agent, agent.name
         self._folder = run.folder
         self._state = Status(agent.name)
@@ -243,8 +234,6 @@ class LearnerService:
         silence, deadline = self._lockstep.host_silence(), self._run.description.bus.answer_deadline
         if silence > deadline:
             raise GaveUpError(f"nothing was heard of the env host for {deadline:g} s")
-        if self._socket is not None and silence > deadline / 4 and not self._socket.exists():
-            raise GaveUpError(f"the env host is gone, and with it the bus's socket {self._socket}")
 
     def _leave(self) -> None:
         """Answer once more if asked, until the env host says that it has heard everybody."""
@@ -309,8 +298,7 @@ def main() -> None:
             waiting = Status(agent.name, "waiting")
             with Heartbeat(session, run.keys, agent.name, rejections, lambda: waiting):
                 agree(session, run.keys, run.spec, deadline, rejections, shared=router)
-            socket = local_socket(door.endpoint)
-            service = LearnerService(run, agent, session, rejections, socket)
+            service = LearnerService(run, agent, session, rejections)
             with service.heartbeat:
                 service.serve()
 
