@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from otc_dist import user_code
+from otc_dist.bus.keys import HOST
 from otc_dist.commands import OF_LAUNCH, lines
 from otc_dist.comparison import arms, meanings
 from otc_dist.description import Description
@@ -94,9 +95,11 @@ def _start(arguments: argparse.Namespace) -> int:
     if origin:
         chosen = origin.begun(chosen)
     description = resolve(chosen, data_here=place.role != "host")
-    quickly, whose = "-quick" if quick else "", f"-{place.agent}" if place.agent else ""
+    # A part of a run on several hosts has a folder of its own, also beside a whole run's.
+    part = "" if place.role == "all" else f"-{place.agent or HOST}"
+    quickly = "-quick" if quick else ""
     arm = f"-{arguments.arm}" if arguments.arm else ""
-    name = f"{description.name}{arm}{quickly}-seed{description.seed}{whose}"
+    name = f"{description.name}{arm}{quickly}-seed{description.seed}{part}"
     out: Path = arguments.out or Path("runs") / name
     run = out.name if place.role == "all" else run_record.shared_name(description)
     planned = plan.make(description, RunFolder(out.resolve()), run, place)

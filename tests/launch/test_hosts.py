@@ -119,6 +119,7 @@ def test_a_host_starts_the_env_host_alone_and_needs_no_data(
 ) -> None:
     plan = _plan(capsys, *HOST)
     assert "services.env_host" in plan and "--listen tls/0.0.0.0:7447" in plan
+    assert "runs/3agent_hopper-seed0-host\n" in plan  # not that of a run on this machine alone
     assert "services.learner" not in plan and "otc_dist.datasets" not in plan
     assert "safetensors" not in plan
 

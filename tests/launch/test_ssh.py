@@ -83,7 +83,7 @@ def test_a_run_by_ssh_is_stopped_and_gone_on_with_and_ends_the_same(
     if meets_at == "router":
         command += ["--set", f"bus.router=tls/{CENTRE}:{port}"]
     runs = there / "runs"
-    host, learners = runs / RUN, [runs / f"{RUN}-{agent}" for agent in AGENTS]
+    host, learners = runs / f"{RUN}-host", [runs / f"{RUN}-{agent}" for agent in AGENTS]
     with ExitStack() as stack:
         hold = Hold("host", "deployment", 1, tmp_path / "gate")
         machines = {CENTRE, *MACHINES.values()}
