@@ -59,7 +59,7 @@ def test_a_description_with_a_bad_name_is_one_line_and_leaves_nothing(
     (tmp_path / "inside").mkdir()
     monkeypatch.chdir(tmp_path / "inside")
     with pytest.raises(UserError) as caught:
-        launch(["navigation", "--set", assignment])
+        launch(["navigation", "--dry-run", "--set", assignment])
     line = str(caught.value)
     assert line.startswith("command line: ") and line.isprintable() and assignment[:3] in line
     assert [path.name for path in tmp_path.rglob("*")] == ["inside"]
