@@ -74,10 +74,10 @@ class Hosts(Section):
             hosts = cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
         except OSError as error:
             raise UserError(f"cannot read {path}: {error.strerror}") from None
+        except ValidationError as error:  # a ValueError as well, so before these
+            raise explain(cls, error.errors()[0], str(path)) from None
         except (ValueError, RecursionError) as error:
             raise UserError(f"{path} is not valid TOML: {error}") from None
-        except ValidationError as error:
-            raise explain(cls, error.errors()[0], str(path)) from None
         for agent in hosts.learners:
             if agent not in team.names:
                 raise unknown("agent", agent, team.names)
