@@ -49,12 +49,13 @@ def main(argv: list[str]) -> int:
         state = "interrupted"
     supervision = Supervision.read(folder) if launched else None
     if arguments.json:
+        awaited = waiting(folder) if launched else None
         told = {
             "run": record.run,
             "state": state,
             "started": record.started,
             "finished": record.finished,
-            "waiting": waiting(folder) if launched else None,
+            "waiting": awaited and asdict(awaited),
             "supervision": supervision and asdict(supervision),
         }
         print(json.dumps(told, indent=1))
