@@ -73,7 +73,7 @@ def _sentence(changes: Sequence[Change], recommended: int | None) -> tuple[Tone,
             "bad": "Tuning did harm, so the offline policy is recommended",
             "good": "Tuning helped in the end, but the deployments spoke for the offline policy,"
             " which is recommended",
-            "open": "Tuning brought nothing better than the offline policy, which is recommended",
+            "open": "Nothing shows that tuning helped, so the offline policy is recommended",
         }[last.tone]
         tail = close if last.tone == "open" else ""
         told = f"it returns {_plain(last.before)}, the last tuned one, pi_{last.policy}, {last}"
