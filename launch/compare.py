@@ -64,7 +64,8 @@ def main(argv: list[str]) -> int:
 def _show(arguments: argparse.Namespace) -> int:
     """Print the tables of a folder of raw scores."""
     found = collected.collect(arguments.tables)
-    say(f"{found.name}, {found.dataset}; on {tables.processors(found.runs)}")
+    label = f" ({descriptions.QUICK_LABEL})" if found.episodes < EPISODES else ""
+    say(f"{found.name}, {found.dataset}{label}; on {tables.processors(found.runs)}")
     say(*tables.text(summarise(found.runs, found.normalise)))
     if arguments.picture is not None:
         seeds = max(len(of_arm) for of_arm in found.runs.values())
@@ -210,5 +211,5 @@ def command_line() -> Parser:
         metavar="FILE.svg",
         help="with --tables: draw what is recommended after each deployment",
     )
-    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
+    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
     return parser

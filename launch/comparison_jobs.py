@@ -35,6 +35,8 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
         folder.root.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot make {folder.root}: {error.strerror}") from None
+    if RunFolder(folder.root).run_json.exists():
+        raise UserError(f"{folder.root} is a run's folder, no comparison's; use another --out")
     with run_record.locked(RunFolder(folder.root)):
         if folder.description.exists():
             _same(Description.load(folder.description), base, folder)
@@ -78,9 +80,12 @@ def note_inputs(folder: ComparisonFolder, base: Description) -> None:
 
 
 def _same(found: Description, wanted: Description, folder: ComparisonFolder) -> None:
-    """Raises UserError, naming the first difference."""
+    """Raises UserError, naming the first difference.
+
+    The summary comes last: any `--set` empties it, and what was set says more.
+    """
     before, now = _flat(found), _flat(wanted)
-    for key, value in now.items():
+    for key, value in sorted(now.items(), key=lambda item: item[0] == "summary"):
         if before[key] != value:
             raise UserError(
                 f"{folder.root} was begun with {key} = {before[key]}, and this is {value};"

@@ -23,6 +23,7 @@ QUICK = (
     'engine.name="eager"',
 )
 QUICK_LABEL = "a quick look, not a result"
+QUICK_HELP = f"little data and few updates: {QUICK_LABEL}"
 
 
 def shipped() -> dict[str, Path]:

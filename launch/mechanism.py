@@ -94,6 +94,6 @@ def command_line() -> Parser:
         metavar="section.key=value",
         help="change one value, like sampling.alpha=2",
     )
-    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
+    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
     user_code.add_flag(parser)
     return parser

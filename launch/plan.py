@@ -72,8 +72,7 @@ class Plan:
         """Where B_0 and its card lie; None where no agent learns."""
         if not self.learners:
             return None
-        dataset = self.description.dataset
-        return store.agent_file(dataset.name, self.learners[0], dataset.transitions).parent
+        return self._data_file(self.learners[0]).parent
 
     @property
     def preparations(self) -> dict[str, tuple[str, ...]]:
@@ -123,7 +122,7 @@ class Plan:
         yield f"run folder   {self.folder.root}"
         yield f"data         {d.dataset.name}, {d.dataset.transitions:,} transitions an agent"
         for agent in self.learners:
-            path = store.agent_file(d.dataset.name, agent, d.dataset.transitions)
+            path = self._data_file(agent)
             state = "cached" if path.exists() else "to be made"
             yield f"  {agent:10} {path} ({state})"
         yield from (f"environment  {remark}" for remark in registry.remarks(d.env.id))
@@ -145,7 +144,8 @@ class Plan:
         yield f"             {d.evaluation.episodes} greedy episodes after each tuning"
         yield f"engine       {d.engine.name}"
         yield f"disk         about {self.disk_bytes / 1e6:,.0f} MB at most"
-        yield "first"
+        if self.preparations:
+            yield "first"
         for name, command in self.preparations.items():
             yield f"  {name}: {shlex.join(command)}"
         yield "processes"
@@ -154,7 +154,17 @@ class Plan:
             for does, keys in vars(process.uses).items():
                 yield from (f"      {does:9} {key}" for key in keys)
         seconds = sum(part.seconds for part in self.parts)
-        yield f"time         about {forecast.duration(seconds)}, and what the data take to make"
+        making = "" if self._cached else ", and what the data take to make"
+        yield f"time         about {forecast.duration(seconds)}{making}"
+
+    @property
+    def _cached(self) -> bool:
+        """Whether all data files are there that the learners of this machine need."""
+        return all(self._data_file(agent).exists() for agent in self.learners)
+
+    def _data_file(self, agent: str) -> Path:
+        dataset = self.description.dataset
+        return store.agent_file(dataset.name, agent, dataset.transitions)
 
 
 def _conditions(deployment: DeploymentSection) -> Iterator[str]:

@@ -192,7 +192,7 @@ def command_line() -> Parser:
         metavar="RUN",
         help="begin with the offline policies of another run, or of a comparison's seed folder",
     )
-    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_LABEL)
+    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
     parser.add_argument("--dry-run", action="store_true", help="print what would run, and stop")
     apart = parser.add_argument_group("on several hosts (see docs/hosts.md)")
     apart.add_argument("--role", choices=["host", "learner"], help="start this part only")

@@ -14,6 +14,7 @@ from otc_dist.comparison.arms import KNOWN, REFERENCE
 from otc_dist.comparison.scores import OFFLINE, ComparisonFolder, Run
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.run_folder import RunFolder
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,14 @@ class Collected:
     env_id: str
     dataset: str
     runs: dict[str, list[Run]]  # arm -> its runs by seed; the reference among them
+
+    @property
+    def episodes(self) -> int:
+        """Of the evaluation that has the fewest."""
+        evaluations = (
+            e for of_arm in self.runs.values() for run in of_arm for e in run.evaluations
+        )
+        return min((len(one.returns) for one in evaluations), default=0)
 
     def normalise(self, value: float) -> float | None:
         """A return's normalised score, None without reference returns."""
@@ -38,6 +47,8 @@ def collect(root: Path) -> Collected:
         UserError: it is none, a file is damaged, or the reference has no run.
     """
     description = root / "description.toml"
+    if RunFolder(root).run_json.exists():
+        raise UserError(f"{root} is a run's folder, no comparison's")
     if not description.is_file():
         raise UserError(f"{root} is no comparison's folder: it has no description.toml")
     try:

@@ -47,6 +47,12 @@ def test_a_folder_of_another_description_is_refused(base: Description, tmp_path:
         comparison_jobs.opened(folder, other),
     ):
         pass
+    without = base.model_copy(update={"summary": "as shipped", "seed": 9})
+    with (
+        pytest.raises(UserError, match="begun with seed = 0, and this is 9"),
+        comparison_jobs.opened(folder, without),
+    ):
+        pass
     (tmp_path / "thesis.tex").touch()
     with (
         pytest.raises(UserError, match="holds something else"),
@@ -132,7 +138,8 @@ def test_tables_need_the_raw_scores_only(
     for folder in (kept, finished.root):
         assert compare.main(["--tables", str(folder)]) == 0
         out = capsys.readouterr().out
-        assert out.startswith(f"3agent_hopper, hopper-3x1/medium-replay; on {processor()}\n")
+        label = f" ({descriptions.QUICK_LABEL})"
+        assert out.startswith(f"3agent_hopper, hopper-3x1/medium-replay{label}; on {processor()}\n")
         tables = out.split("\n", 1)[1].strip()
         assert tables in shown  # to the letter
         words = ("minus pi_0", "minus uniform", "by t", "IQM", "worst deployed policy")
@@ -182,6 +189,16 @@ def test_a_damaged_folder_of_scores_is_one_clear_line(
     with pytest.raises(UserError, match=told) as error:
         compare.main(["--tables", str(tmp_path)])
     assert "\n" not in str(error.value)
+
+
+def test_the_folder_of_a_run_is_none_of_a_comparison(base: Description, tmp_path: Path) -> None:
+    (tmp_path / "description.toml").write_text(base.to_toml())
+    (tmp_path / "run.json").write_text("{}")
+    before = sorted(tmp_path.iterdir())
+    for words in (["--tables"], ["3agent_hopper", "--quick", "--out"]):
+        with pytest.raises(UserError, match="is a run's folder, no comparison's"):
+            compare.main([*words, str(tmp_path)])
+    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_tables_run_nothing_and_so_take_no_other_flag(tmp_path: Path) -> None:

@@ -122,6 +122,7 @@ def test_a_host_starts_the_env_host_alone_and_needs_no_data(
     assert "runs/3agent_hopper-seed0-host\n" in plan  # not that of a run on this machine alone
     assert "services.learner" not in plan and "otc_dist.datasets" not in plan
     assert "safetensors" not in plan
+    assert "\nfirst\n" not in plan and "what the data take" not in plan  # there is nothing to make
 
 
 def test_a_learners_host_makes_and_names_its_own_data_alone(
