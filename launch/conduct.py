@@ -156,7 +156,7 @@ def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, v
     signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
     over: float | None = None  # when the host ended
     known = set[int]()  # processes whose libraries are noted
-    asked = False  # whether it has been said that a person's approval is awaited
+    asked: list[str] = []  # what has been said of the approval that is awaited
 
     def notice(sign: Sign | Waiting) -> None:
         signs.put(sign)
@@ -184,11 +184,11 @@ def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, v
                 raise StoppedError
             finished = crew.look()
             board.events += crew.drain_events()
-            if board.newest.get(HOST, Status(HOST)).phase != "approval":
-                asked = False
-            elif not asked and (lines := waiting_lines(plan.folder)):
-                asked = True
-                board.events += lines
+            if board.newest.get(HOST, Status(HOST)).phase == "approval":
+                # Not by the phase between two: a short deployment may be over before it is seen.
+                lines = waiting_lines(plan.folder)
+                board.events += lines if lines != asked else []
+                asked = lines
             view.show(board)
             vital_signs.write(board)
             if HOST in finished and over is None:
