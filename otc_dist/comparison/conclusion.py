@@ -28,7 +28,7 @@ def _sentence(where: str, found: Differences) -> str:
     if NULL not in found:
         return f"{where}: no claim without the null arm."
     null = found[NULL]
-    chance = f"the null arm, which differs by chance alone, by {null}"
+    chance = f"by chance alone, the null arm differs by {null}"
     most = max((len(one.seeds) for one in found.values()), default=0)
     if most < ENOUGH or len(null.seeds) < ENOUGH:
         count = "1 seed is" if len(null.seeds) == 1 else f"{len(null.seeds)} seeds are"

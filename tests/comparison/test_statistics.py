@@ -229,6 +229,7 @@ def steady(gain: float, seeds: int, noise: float = 1.0) -> list[list[float]]:
 def test_few_seeds_claim_nothing() -> None:
     summary = compare(otc_value=steady(50, 5), uniform=steady(0, 5, 0), uniform_null=steady(0, 5))
     assert "too few for any claim" in summary.conclusion
+    assert ": by chance alone, the null arm differs by " in summary.conclusion
     assert "better" not in summary.conclusion
 
 
