@@ -15,10 +15,12 @@ from .conftest import Launcher
 pytestmark = pytest.mark.slow
 
 ENVIRONMENT = """
-    import pathlib, signal
+    import pathlib, signal, sys
     import numpy as np
     from gymnasium.spaces import Box
     from pettingzoo import ParallelEnv
+
+    HOST = "otc_dist.services.env_host" in sys.orig_argv  # others step it too, to make the data
 
     class Hanging(ParallelEnv):
         metadata = {"name": "hanging"}
@@ -35,7 +37,7 @@ ENVIRONMENT = """
 
         def step(self, actions):
             mark = pathlib.Path("hang_in_step")
-            if mark.exists() and self.t == 3:
+            if HOST and self.t == 3 and mark.exists():
                 mark.unlink()
                 signal.pause()
             self.t += 1
@@ -83,10 +85,9 @@ def test_who_hangs_is_started_again_and_nobody_else(
     flags += ("dataset.name=random", "dataset.transitions=300", "deployment.count=1")
     flags += (f"bus.answer_deadline={deadline}",)
     assigned = [part for flag in flags for part in ("--set", flag)]
-    launcher = launch("navigation", *tiny_flags, *assigned, "--out", "run")
-    launcher.read_until(lambda line: line.startswith("a_1: offline"))
-    for mark in ("hang_in_step", "hang_in_act"):  # the data have been made: it is the run's turn
+    for mark in ("hang_in_step", "hang_in_act"):
         (tmp_path / mark).touch()
+    launcher = launch("navigation", *tiny_flags, *assigned, "--out", "run")
     assert launcher.finish() == 0, launcher.text
     assert RunRecord.read(RunFolder(tmp_path / "run")).state == "finished"
     assert not list(tmp_path.glob("hang_in_*")), "nobody has hung"
