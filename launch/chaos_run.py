@@ -13,8 +13,10 @@ from typing import Self
 
 from otc_dist.bus.keys import HOST
 from otc_dist.description.distances import FITS
+from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 
+from .run_record import RunRecord
 from .supervisor import die_with_parent
 from .vital_signs import ProcessState, Supervision
 
@@ -220,11 +222,20 @@ class DisturbedRun:
         self._launcher.send_signal(signal.SIGCONT)
 
     @property
+    def _worked(self) -> bool:
+        """Whether all is done but the report, and perhaps that too."""
+        with contextlib.suppress(UserError):  # the run has not begun
+            return RunRecord.read(self.folder).state in ("reporting", "finished")
+        return False
+
+    @property
     def phase(self) -> str:
         """Where the run stands: one of PHASES."""
         if preparing := self.preparing():
             return preparing[0]
         processes = self.processes
+        if not processes and self._worked:
+            return "report"
         if not processes or any(process.phase == "starting" for process in processes.values()):
             return "start"
         phases = {process.phase for name, process in processes.items() if name != HOST}

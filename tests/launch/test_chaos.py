@@ -44,6 +44,29 @@ def test_a_launcher_that_ends_by_itself_has_failed(tmp_path: Path) -> None:
             run.finish()
 
 
+class _QuickRun(DisturbedRun):
+    """A run that is over before anything can strike it."""
+
+    def start(self) -> None:
+        self.folder.root.mkdir(parents=True)
+
+    @property
+    def over(self) -> bool:
+        return True
+
+
+def test_a_fault_that_was_asked_for_and_never_struck_has_not_passed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("otc_dist.launch.chaos_arena.enter", lambda: None)
+    monkeypatch.setattr("otc_dist.launch.chaos.DisturbedRun", _QuickRun)
+    monkeypatch.setattr("otc_dist.launch.chaos.outcome", lambda folder: {})
+    assert main(["chaos", "kill-compiler=2", "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    assert "kill-compiler: nothing to strike in 3 runs" in said.err
+    assert said.out.splitlines()[-1].split()[:6] == ["kill-compiler", "0", "of", "2", "3", "3"]
+
+
 def _named(folder: RunFolder, run: str, moment: str) -> RunFolder:
     """Another run of the same description, which ended the same."""
     record = json.loads(folder.run_json.read_text())
