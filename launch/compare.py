@@ -115,7 +115,7 @@ def _compare(
 
     status = 0
     try:
-        run_jobs(jobs, cores(), finished)
+        run_jobs(jobs, cores(), finished, base.bus.answer_deadline)
     except FailedError as failed:
         status = comparison_jobs.failure(failed, folder)
     except StoppedError as stopped:

@@ -2,12 +2,15 @@
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from . import forecast
+from .health import LIMIT
 from .signals import Signals
+from .standstill import Standstill
 from .supervisor import End, Supervisor
 
 LOOK_EVERY = 0.5  # seconds between two looks at the processes
@@ -44,6 +47,16 @@ class FailedError(Exception):
         self.status = 2 if end.status == 2 else 1
 
 
+@dataclass
+class _Going:
+    """A job at work."""
+
+    job: Job
+    watched: Standstill
+    started: float  # clock
+    why: str = ""  # it was killed
+
+
 class StoppedError(Exception):
     """The user, or the system, asked us to stop."""
 
@@ -52,16 +65,23 @@ class StoppedError(Exception):
         self.status = status
 
 
-def run_jobs(jobs: Sequence[Job], workers: int, finished: Callable[[Job], None]) -> None:
+def run_jobs(
+    jobs: Sequence[Job], workers: int, finished: Callable[[Job], None], patience: float
+) -> None:
     """Do all jobs that are not done, at most `workers` at once, the earliest that can run first.
 
+    One that is killed, or stands still, is begun again, while the others go on.
+
+    Args:
+        patience: seconds that a job may stand still.
+
     Raises:
-        FailedError: a process failed; the others were stopped.
+        FailedError: a job failed by itself, or was killed too often; the others were stopped.
         StoppedError: a signal came; all were stopped.
     """
     waiting = [job for job in jobs if not job.done]
-    running: dict[str, Job] = {}
-    started: dict[str, float] = {}
+    running: dict[str, _Going] = {}
+    restarts = Counter[str]()
     clock = _Clock(sum(job.seconds for job in waiting), workers)
     with Signals() as signals, Supervisor(signals) as supervisor:
         while waiting or running:
@@ -69,21 +89,34 @@ def run_jobs(jobs: Sequence[Job], workers: int, finished: Callable[[Job], None])
                 if len(running) == workers:
                     break
                 waiting.remove(job)
-                running[job.name], started[job.name] = job, time.monotonic()
                 job.output.unlink(missing_ok=True)
                 supervisor.start(job.name, job.command, job.output)
+                watched = Standstill(supervisor.pid(job.name), patience)
+                running[job.name] = _Going(job, watched, time.monotonic())
             signals.wait(LOOK_EVERY)
             if signals.stop:
                 raise StoppedError(128 + signals.stop, signals.stop.name)
             for end in supervisor.ended():
-                job = running.pop(end.process)
+                going = running.pop(end.process)
+                job = going.job
+                if end.status < 0 and restarts[job.name] < LIMIT:
+                    restarts[job.name] += 1
+                    how = end.manner + (f", since it {going.why}" if going.why else "")
+                    again = f"starts again ({restarts[job.name]} of {LIMIT})"
+                    print(f"{job.name}: {how}; {again}", flush=True)
+                    waiting.insert(0, job)
+                    continue
                 if end.status != 0 or not job.done:
                     raise FailedError(job, end)
                 clock.add(job.seconds)
-                took = forecast.duration(time.monotonic() - started.pop(job.name))
+                took = forecast.duration(time.monotonic() - going.started)
                 print(f"{job.name}: done in {took}", flush=True)
                 finished(job)
-            clock.show(running.values())
+            for name, going in running.items():
+                if not going.why and (why := going.watched.look(time.monotonic())):
+                    going.why = why
+                    supervisor.kill(name)
+            clock.show(going.job for going in running.values())
 
 
 class Teller:

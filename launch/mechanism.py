@@ -60,7 +60,7 @@ def main(argv: list[str]) -> int:
     trained = all(job.done for job in jobs[: -len(seeds)])
     with nullcontext() if trained else comparison_jobs.opened(folder, base):
         try:
-            run_jobs(jobs, cores(), lambda job: None)
+            run_jobs(jobs, cores(), lambda job: None, base.bus.answer_deadline)
         except FailedError as failed:
             return comparison_jobs.failure(failed, folder)
         except StoppedError as stopped:

@@ -5,8 +5,12 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.launch import jobs as jobs_module
+from otc_dist.launch import standstill
+from otc_dist.launch.health import LIMIT
 from otc_dist.launch.jobs import FailedError, Job, StoppedError, Teller, run_jobs
 
+PATIENCE = 60.0  # seconds; only a test that fails waits as long
 MAKE = "import sys, pathlib; pathlib.Path(sys.argv[1]).touch()"
 
 
@@ -23,6 +27,7 @@ def test_jobs_run_when_what_they_need_is_there(tmp_path: Path) -> None:
         [job(tmp_path, "second", look, (first.product,)), first],
         2,
         lambda done: finished.append(done.name),
+        PATIENCE,
     )
     assert finished == ["first", "second"]
 
@@ -34,6 +39,7 @@ def test_finished_jobs_are_skipped(tmp_path: Path) -> None:
         [job(tmp_path, "old", "raise SystemExit(1)"), job(tmp_path, "new")],
         1,
         lambda done: finished.append(done.name),
+        PATIENCE,
     )
     assert finished == ["new"]
 
@@ -52,10 +58,43 @@ def test_a_failure_is_one_line_that_names_the_job(
 ) -> None:
     waits = job(tmp_path, "waits", "import signal; signal.pause()")
     with pytest.raises(FailedError) as failed:
-        run_jobs([waits, job(tmp_path, "bad", code)], 2, lambda done: None)
+        run_jobs([waits, job(tmp_path, "bad", code)], 2, lambda done: None, PATIENCE)
     assert failed.value.status == status
     message = str(failed.value)
     assert message.startswith("bad: ") and told in message and "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("what", "patience", "why"),
+    [
+        ("os.kill(os.getpid(), signal.SIGKILL)", PATIENCE, ""),
+        ("os.kill(os.getpid(), signal.SIGSTOP)", PATIENCE, ", since it is frozen"),
+        ("signal.pause()", 1.0, ", since it has done nothing for 1 s"),
+    ],
+)
+def test_what_is_killed_or_stands_still_is_begun_again_and_the_others_go_on(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    what: str,
+    patience: float,
+    why: str,
+) -> None:
+    monkeypatch.setattr(standstill, "FROZEN_AFTER", 0.5)
+    monkeypatch.setattr(jobs_module, "LOOK_EVERY", 0.05)
+    mark = tmp_path / "mark"
+    once = f"import os, signal, pathlib; mark = pathlib.Path({str(mark)!r})\n"
+    once += f"if not mark.exists():\n    mark.touch(); {what}\n{MAKE}"
+    finished: list[str] = []
+    run_jobs(
+        [job(tmp_path, "odd", once), job(tmp_path, "other", needs=(mark,))],
+        2,
+        lambda done: finished.append(done.name),
+        patience,
+    )
+    assert sorted(finished) == ["odd", "other"]
+    told = [line for line in capsys.readouterr().out.splitlines() if "done in" not in line]
+    assert told == [f"odd: was killed by SIGKILL{why}; starts again (1 of {LIMIT})"]
 
 
 def test_an_interrupt_leaves_no_process(tmp_path: Path) -> None:
@@ -65,7 +104,7 @@ def test_an_interrupt_leaves_no_process(tmp_path: Path) -> None:
     waits = job(tmp_path, "waits", f"{code}; open(r'{tmp_path}/up', 'w'); signal.pause()")
     jobs = [waits, Job(**{**vars(interrupt), "needs": (tmp_path / "up",)})]
     with pytest.raises(StoppedError, match="SIGINT") as stopped:
-        run_jobs(jobs, 2, lambda done: None)
+        run_jobs(jobs, 2, lambda done: None, PATIENCE)
     assert stopped.value.status == 130
     with pytest.raises(ProcessLookupError):
         os.kill(int(told.read_text()), 0)
