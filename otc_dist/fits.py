@@ -30,33 +30,30 @@ class Fits:
         self._engine = engine
         compared = compared_by(setting.description)
         first = ("typical",) if setting.description.offline.rows == "typical" else ()
-        self._fits: dict[str, Features] = {}  # by their own names: d_f and `typical` share theirs
-        self.own: Features | None = None
+        self._fits: dict[str, Features] = {}  # by distance
         for distance in (*first, *([compared] if compared else []), *further):
-            features = create_features(distance, setting, engine)
-            if features:
-                features = self._fits.setdefault(features.name, features)
-            if distance == compared:
-                self.own = features
+            if features := create_features(distance, setting, engine):
+                self._fits.setdefault(distance, features)
+        self.own = self._fits.get(compared) if compared else None
 
     def __bool__(self) -> bool:
         """Whether there is anything to fit."""
         return bool(self._fits)
 
-    def of(self, name: str) -> Features:
-        """The fit of that name."""
-        return self._fits[name]
+    def of(self, distance: str) -> Features:
+        """What that distance fits."""
+        return self._fits[distance]
 
     def train(
         self,
         experience: Experience,
         stream: Callable[..., np.random.Generator],
         report: Report,
-        *names: str,
+        *distances: str,
     ) -> None:
-        """Fit what is missing among `names`, or among all without names."""
-        for name in names or self._fits:
-            features = self._fits[name]
+        """Fit what these distances miss, or what all miss if none is named."""
+        for distance in distances or self._fits:
+            features = self._fits[distance]
             if features.state is None:
                 self._train(features, experience, stream, report)
 
@@ -74,12 +71,15 @@ class Fits:
             lambda *key: stream(name, *key),
             lambda done, metrics: report(name, done, features.updates, metrics),
         )
-        if features is self.own:
+        for other in self._fits.values():
+            if other.name == name:  # d_f and `typical` share theirs
+                other.state = features.state
+        if self.own and self.own.name == name:
             experience.embed()
 
     def states(self) -> dict[str, State]:
         """Name -> what was fitted, as a checkpoint keeps it."""
-        return {name: f.state for name, f in self._fits.items() if f.state is not None}
+        return {f.name: f.state for f in self._fits.values() if f.state is not None}
 
     def load(
         self,
@@ -89,9 +89,9 @@ class Fits:
     ) -> bool:
         """Take over the parts of a checkpoint; whether none is missing that must be trained."""
         complete = True
-        for name, features in self._fits.items():
-            if name in parts:
-                features.state = to_tensors(parts[name], self._engine.device)
+        for features in self._fits.values():
+            if features.name in parts:
+                features.state = to_tensors(parts[features.name], self._engine.device)
             elif features.updates:
                 complete = False
             else:  # it takes no time

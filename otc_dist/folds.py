@@ -1,9 +1,11 @@
 """Halves of a data set by whole episodes: what is fitted to one half can judge the other."""
 
+from hashlib import blake2b
+
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.transitions import Transitions
+from otc_dist.transitions import Float32, Transitions
 
 
 def episodes(data: Transitions) -> NDArray[np.int64]:
@@ -13,16 +15,21 @@ def episodes(data: Transitions) -> NDArray[np.int64]:
     ended: so episodes are found in whatever order rows of several stand beside each other.
     """
     ended = (data.terminated | data.truncated).tolist()
+    # Digests: of unordered data every row waits for a successor that never comes.
     going_on: dict[bytes, int] = {}
     found, count = np.empty(len(data), np.int64), 0
     rows = zip(data.observations, data.next_observations, ended, strict=True)
     for row, (state, successor, end) in enumerate(rows):
-        number = going_on.pop(state.tobytes(), count)
+        number = going_on.pop(_digest(state), count)
         count = max(count, number + 1)
         found[row] = number
         if not end:
-            going_on[successor.tobytes()] = number
+            going_on[_digest(successor)] = number
     return found
+
+
+def _digest(state: Float32) -> bytes:
+    return blake2b(state.tobytes(), digest_size=16).digest()
 
 
 def folds(data: Transitions) -> NDArray[np.int64]:

@@ -171,9 +171,8 @@ class Learner:
         if self._offline_updates < total:
             data = self._experience.data
             if self.description.offline.rows == "typical":
-                self._fits.train(self._experience, self._stream, on_fit, "dynamics")
-                forward = self._fits.of("dynamics")
-                data = prepared(self._offline_sampler, self._held(0), forward)
+                self._fits.train(self._experience, self._stream, on_fit, "typical")
+                data = prepared(self._offline_sampler, self._held(0), self._fits.of("typical"))
             # Offline training is common to all minibatch keys.
             phase = Phase("offline", 0, 0, self._alpha.value)
             span = (self._offline_updates, updates)

@@ -4,9 +4,9 @@ f_B(s, a_i) -> s' - s is fitted once, by halves: the episodes of B_0 are two fol
 network, and a transition is always judged by the network that has not seen its episode.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import torch
@@ -27,6 +27,9 @@ from otc_dist.transitions import RowLayout
 
 FOLDS = 2
 CHUNK = 8192  # rows judged at once
+
+# Of row numbers (B,): the inputs (B, inputs) and the targets (B, outputs) of a regression.
+Examples = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True)
@@ -78,8 +81,8 @@ class Descent:
 
     def run(
         self,
-        inputs: Tensor,
-        targets: Tensor,
+        examples: Examples,
+        count: int,
         random: Random,
         updates: int,
         block: int,
@@ -88,19 +91,17 @@ class Descent:
         """From a fresh network.
 
         Args:
-            inputs: (N, inputs).
-            targets: (N, outputs).
+            count: of examples, N; they are numbered from 0.
             block: updates between two calls of `on_block`.
         """
         step, device = self.engine.fuse(self.regression.update), self.engine.device
 
         def update(state: State, draws: Draws) -> tuple[State, Tensor]:
-            batch = draws["batch"]
-            return step(state, inputs.index_select(0, batch), targets.index_select(0, batch))
+            return step(state, *examples(draws["batch"]))
 
-        def draw_block(number: int, count: int) -> Mapping[str, NDArray[np.generic]]:
-            shape = (count, self.batch_size)
-            return {"batch": random("minibatches", number).integers(0, len(inputs), shape)}
+        def draw_block(number: int, length: int) -> Mapping[str, NDArray[np.generic]]:
+            shape = (length, self.batch_size)
+            return {"batch": random("minibatches", number).integers(0, count, shape)}
 
         state = to_tensors(self.regression.initial_state(random("initial")), device)
         record, span = self.engine.record(update), (0, updates)
@@ -115,11 +116,16 @@ class Forward:
     def __init__(self, section: DynamicsSection, layout: RowLayout, engine: Engine) -> None:
         self._section, self._engine = section, engine
         self._changes = Changes(layout)
-        self.size, self.updates = self._changes.size, FOLDS * section.updates
+        self.updates = FOLDS * section.updates
         self._regression = Regression(
             self._changes.matched, layout.observation_size, section.hidden, section.learning_rate
         )
         self._state: State | None = None
+
+    @property
+    def size(self) -> int:
+        """Numbers kept of a transition."""
+        return self._changes.size
 
     @property
     def state(self) -> State | None:
@@ -137,8 +143,6 @@ class Forward:
     def fit(self, rows: Tensor, folds: Tensor, random: Random, report: Report) -> None:
         """Fit both networks to B_0 and freeze."""
         self._changes.fit(rows, folds, random, report)
-        features = torch.empty(len(rows), self.size, device=rows.device)
-        self._changes.embed(rows, folds, features)
         fitted, updates = dict(self._changes.state or {}), self._section.updates
         for fold in range(FOLDS):
             (others,) = (folds != fold).nonzero(as_tuple=True)
@@ -147,23 +151,34 @@ class Forward:
                 fitted[f"network_{fold}"] = state["network"]
                 report(fold * updates + done, {"dynamics_loss": metrics[0]})
 
-            examples = apart(features[others], self._changes.matched)
+            def examples(batch: Tensor, others: Tensor = others) -> tuple[Tensor, Tensor]:
+                features = self._changes.of(rows.index_select(0, others[batch]))
+                return apart(features, self._changes.matched)
+
             descent = Descent(self._regression, self._engine, self._section.batch_size)
-            descent.run(
-                *examples, lambda *key, fold=fold: random(fold, *key), updates, BLOCK, on_block
-            )
+            own = partial(random, fold)
+            descent.run(examples, len(others), own, updates, BLOCK, on_block)
         self.state = fitted
 
     def embed(self, rows: Tensor, folds: Tensor, out: Tensor) -> None:
         """Write the features of packed rows (N, width) to `out` (N, size); nothing before `fit`."""
+        for part, inputs, residual in self.residuals(rows, folds):
+            out[part] = torch.cat((inputs, residual), dim=1)
+
+    def residuals(self, rows: Tensor, folds: Tensor) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """All of packed rows (N, width), part by part, so that few are held at once: their numbers
+        (n,), (s, a_i) (n, matched) and residuals (n, s). Nothing before `fit`.
+        """
         if self._state is None:
             return
-        self._changes.embed(rows, folds, out)
-        inputs, residual = apart(out, self._changes.matched)
         for fold in range(FOLDS):
+            network = self._state[f"network_{fold}"]
             (mine,) = (folds == fold).nonzero(as_tuple=True)
-            expected = self._regression.predict(self._state[f"network_{fold}"], inputs, mine)
-            residual[mine] -= expected
+            for part in torch.split(mine, CHUNK):
+                inputs, change = apart(self._changes.of(rows[part]), self._changes.matched)
+                with torch.no_grad():
+                    residual = change - self._regression.network.apply(network, inputs)
+                yield part, inputs, residual
 
 
 def apart(features: Tensor, matched: int) -> tuple[Tensor, Tensor]:

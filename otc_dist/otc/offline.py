@@ -18,18 +18,18 @@ def offline_sampler(setting: Setting) -> Sampler:
     if description.offline.rows == "all":
         return Uniform(batch)
     section = description.sampling.model_copy(update={"share": description.offline.share})
-    best = Weighted(section, batch, TypicalDistance(setting.layout), share.weights)
+    best = Weighted(section, batch, TypicalDistance(), share.weights)
     return ImitatingAll(best, batch)
 
 
-def prepared(sampler: Sampler, held: Held, forward: Features) -> Data:
+def prepared(sampler: Sampler, held: Held, typical: Features) -> Data:
     """B_0 as the typical rows of it are drawn.
 
     Args:
-        forward: the forward model, fitted.
+        typical: what `typical` keeps of transitions, fitted.
     """
     data, size = held.data, held.extent.size
-    features = torch.empty(size, forward.size, device=data.rows.device)
-    forward.embed(data.rows[:size], data.folds[:size], features)
+    features = torch.empty(size, typical.size, device=data.rows.device)
+    typical.embed(data.rows[:size], data.folds[:size], features)
     alone = held.extent._replace(newest=size)  # nothing of it is online
     return sampler.begin(held._replace(data=data._replace(features=features), extent=alone)).data

@@ -10,7 +10,7 @@ import torch
 from otc_dist.description import DynamicsSection
 from otc_dist.engine import Engine
 from otc_dist.otc.distances.dynamics import DynamicsDistance
-from otc_dist.otc.distances.typical import TypicalDistance
+from otc_dist.otc.distances.typical import Misses, TypicalDistance
 from otc_dist.otc.forward import Forward, apart
 from otc_dist.otc.samplers import Data, Extent, Held
 from otc_dist.randomness import stream
@@ -44,8 +44,8 @@ def mostly_left(count: int) -> np.ndarray:
 
 
 @cache
-def held() -> tuple[Held, np.ndarray]:
-    """One agent with D_1, in which the others go right, and what they did in each row."""
+def fitted() -> tuple[torch.Tensor, torch.Tensor, Forward]:
+    """One agent's rows with D_1, in which the others go right, their folds, and f_B."""
     rows = torch.cat([transitions(OFFLINE, mostly_left, 1), transitions(NEWEST, np.ones, 2)])
     folds = torch.arange(len(rows)) // 10 % 2  # episodes of ten steps
     engine = Engine("eager")
@@ -54,21 +54,30 @@ def held() -> tuple[Held, np.ndarray]:
     forward.embed(rows, folds, untouched)
     assert untouched.isnan().all()  # not before it is fitted
     forward.fit(rows[:OFFLINE], folds[:OFFLINE], random, ignore)
-    features = torch.zeros(len(rows), forward.size)
-    forward.embed(rows, folds, features)
+    return rows, folds, forward
+
+
+@cache
+def held(kind: type[Forward]) -> tuple[Held, np.ndarray]:
+    """The same with what a distance keeps of each row, and what the others did in it."""
+    rows, folds, forward = fitted()
+    own = kind(SECTION, LAYOUT, Engine("eager"))
+    own.state = forward.state
+    features = torch.zeros(len(rows), own.size)
+    own.embed(rows, folds, features)
     extent = Extent(OFFLINE, OFFLINE, len(rows))
     others = np.concatenate([mostly_left(OFFLINE), np.ones(NEWEST)])
-    return Held({}, Data(rows, features, folds), extent, engine, random), others
+    return Held({}, Data(rows, features, folds), extent, Engine("eager"), random), others
 
 
 def test_typical_prefers_what_the_others_usually_did() -> None:
-    ready, others = held()
-    scores = TypicalDistance(LAYOUT).scores(ready, exclude_self=False).values.numpy()[:OFFLINE]
+    ready, others = held(Misses)
+    scores = TypicalDistance().scores(ready, exclude_self=False).values.numpy()[:OFFLINE]
     assert (others[:OFFLINE][np.argsort(scores)[:400]] == -1).all()
 
 
 def test_dynamics_prefers_what_the_others_do_now() -> None:
-    ready, others = held()
+    ready, others = held(Forward)
     scores = DynamicsDistance(LAYOUT, SECTION).scores(ready, exclude_self=False).values.numpy()
     best = np.argsort(scores[:OFFLINE])[:400]
     assert (others[:OFFLINE][best] == 1).all()
@@ -118,15 +127,22 @@ def test_the_newest_data_are_judged_by_the_half_that_they_are_not_in() -> None:
 
 def test_a_correction_that_does_not_help_is_left_out() -> None:
     """Where D_k follows B_0, c_k has nothing to learn, and d_f stays near `typical`."""
-    ready, _ = held()
-    ready = ready._replace(extent=Extent(OFFLINE - 60, OFFLINE - 60, OFFLINE))  # D_1 of B_0's rows
-    corrected = DynamicsDistance(LAYOUT, SECTION).scores(ready, exclude_self=False).values
-    plain = TypicalDistance(LAYOUT).scores(ready, exclude_self=False).values
+    scores = []
+    for kind, distance in (
+        (Forward, DynamicsDistance(LAYOUT, SECTION)),
+        (Misses, TypicalDistance()),
+    ):
+        ready, _ = held(kind)
+        ready = ready._replace(extent=Extent(OFFLINE - 60, OFFLINE - 60, OFFLINE))  # D_1 of B_0
+        scores.append(distance.scores(ready, exclude_self=False).values)
+    corrected, plain = scores
     assert np.corrcoef(corrected, plain)[0, 1] > 0.7
 
 
 def test_features_are_the_pair_and_the_residual() -> None:
-    ready, _ = held()
+    ready, _ = held(Forward)
     pairs, residual = apart(ready.data.features, 3)
     assert pairs.shape == (OFFLINE + NEWEST, 3) and residual.shape == (OFFLINE + NEWEST, 2)
     assert pairs[:OFFLINE].mean(0).abs().max() < 0.05
+    alone = held(Misses)[0].data.features
+    assert torch.equal(alone[:, 0], residual.square().sum(1))

@@ -5,6 +5,7 @@ alone; d_c looks at the dynamics themselves. Each component is standardised over
 """
 
 from dataclasses import dataclass
+from itertools import chain
 
 import torch
 from torch import Tensor
@@ -97,22 +98,34 @@ class Changes:
 
     def fit(self, rows: Tensor, folds: Tensor, random: Random, report: Report) -> None:
         """Take mean and standard deviation from packed rows (N, width) of B_0."""
-        mean, std = moments(self._features(rows).T)
+        batch = unpack(rows, self._layout)
+        action = action_features(batch.action, self._layout.choices)
+        mean, std = moments(
+            chain(
+                batch.observation.T,
+                action.T,
+                # One at a time: all together are as large as the data.
+                (b - a for a, b in zip(batch.observation.T, batch.next_observation.T, strict=True)),
+            )
+        )
         self.state = {"mean": mean, "std": std}
 
     def embed(self, rows: Tensor, folds: Tensor, out: Tensor) -> None:
         """Write the features of packed rows (N, width) to `out` (N, size); nothing before `fit`."""
         if self.state is None:
             return
-        mean, std = self.state["mean"], self.state["std"]
         for part, written in zip(torch.split(rows, CHUNK), torch.split(out, CHUNK), strict=True):
-            written[:] = (self._features(part) - mean) / std
+            written[:] = self.of(part)
 
-    def _features(self, rows: Tensor) -> Tensor:
+    def of(self, rows: Tensor) -> Tensor:
+        """The features (n, size) of packed rows (n, width), after `fit`."""
+        if self.state is None:
+            raise ValueError("features are asked for before the fit")
         batch = unpack(rows, self._layout)
         action = action_features(batch.action, self._layout.choices)
         change = batch.next_observation - batch.observation
-        return torch.cat((batch.observation, action, change), dim=1)
+        features = torch.cat((batch.observation, action, change), dim=1)
+        return (features - self.state["mean"]) / self.state["std"]
 
 
 def matched_size(layout: RowLayout) -> int:

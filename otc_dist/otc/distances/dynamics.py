@@ -96,9 +96,13 @@ class DynamicsDistance:
             if error < best:
                 best, found = error, state["network"].clone()
 
+        def examples(batch: Tensor) -> tuple[Tensor, Tensor]:
+            chosen = fitted[batch]
+            return inputs.index_select(0, chosen), residual.index_select(0, chosen)
+
         Descent(self._regression, held.engine, self.section.batch_size).run(
-            inputs[fitted],
-            residual[fitted],
+            examples,
+            len(fitted),
             random,
             self.section.correction_updates,
             LOOK_EVERY,

@@ -7,30 +7,41 @@ tells why that helps.
 
 from dataclasses import dataclass
 
+from torch import Tensor
+
 from otc_dist.engine import Engine
-from otc_dist.otc.distances.change import matched_size
 from otc_dist.otc.distances.interface import Scores, Setting
-from otc_dist.otc.forward import Forward, apart
+from otc_dist.otc.forward import Forward
 from otc_dist.otc.samplers import Held
-from otc_dist.transitions import RowLayout
 
 
 @dataclass(frozen=True)
 class TypicalDistance:
-    """|s' - s - f_B(s, a_i)|^2 of one agent, over f_B's features in `Data.features`."""
-
-    layout: RowLayout
+    """|s' - s - f_B(s, a_i)|^2 of one agent, which `Data.features` holds."""
 
     @classmethod
     def create(cls, setting: Setting) -> "TypicalDistance":
-        return cls(setting.layout)
+        return cls()
 
     @classmethod
-    def features(cls, setting: Setting, engine: Engine) -> Forward:
-        """(s, a_i) and the residual s' - s - f_B(s, a_i) of every transition."""
-        return Forward(setting.description.dynamics, setting.layout, engine)
+    def features(cls, setting: Setting, engine: Engine) -> "Misses":
+        """The square of what f_B misses s' by, of every transition."""
+        return Misses(setting.description.dynamics, setting.layout, engine)
 
     def scores(self, held: Held, *, exclude_self: bool) -> Scores:
         """No transition was fitted to itself, so `exclude_self` changes nothing."""
-        features = held.data.features[: held.extent.size]
-        return Scores(apart(features, matched_size(self.layout))[1].square().sum(1))
+        return Scores(held.data.features[: held.extent.size, 0])
+
+
+class Misses(Forward):
+    """|s' - s - f_B(s, a_i)|^2 alone: one number a transition, as f_B never changes."""
+
+    @property
+    def size(self) -> int:
+        """Numbers kept of a transition."""
+        return 1
+
+    def embed(self, rows: Tensor, folds: Tensor, out: Tensor) -> None:
+        """Write the features of packed rows (N, width) to `out` (N, 1); nothing before `fit`."""
+        for part, _, residual in self.residuals(rows, folds):
+            out[part, 0] = residual.square().sum(1)
