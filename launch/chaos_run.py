@@ -20,7 +20,7 @@ from .run_record import RunRecord
 from .supervisor import die_with_parent
 from .vital_signs import ProcessState, Supervision
 
-PATIENCE = 240.0  # seconds without a change, after which a run is stuck
+PATIENCE = 600.0  # seconds without a change, as while updates are compiled, after which it is stuck
 LOOK = 0.02  # seconds between two looks
 # In the order in which a run first comes to them, but that the last deployments and tunings take
 # turns, with what is "between" them. "start": of the launcher, and of the processes after the data.

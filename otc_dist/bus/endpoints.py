@@ -20,6 +20,7 @@ from otc_dist.errors import UserError
 SOCKET = "unixsock-stream/"
 TLS = "tls/"
 _LONGEST_SOCKET_PATH = 107  # bytes, of AF_UNIX, with room for Zenoh's suffix below
+_MEMORY = "/dev/shm"  # Linux's own file system has sockets and locks, whatever the others are
 _FOLDER, _NAME = ".bus", "bus"  # in a run's folder; the socket in that
 
 
@@ -83,15 +84,15 @@ def local_endpoint(run: Path) -> str:
     """The endpoint of a run on one machine: a socket in a folder that only its user can enter.
 
     The folder lies in the run's own, which is there as long as the run is; or, where its path is
-    too long for a socket or its file system has none, or no locks, in the temporary one, named
-    after a hash of the run folder's path. It is made if absent; all processes of a run on a machine
-    find the same.
+    too long for a socket or its file system has none, or no locks, in the temporary one or that of
+    the memory, named after a hash of the run folder's path. It is made if absent; all processes of
+    a run on a machine find the same.
 
     Raises:
         UserError: somebody else has made the folder, or there is no place for one.
     """
     digest = hashlib.sha256(str(run.resolve()).encode()).hexdigest()[:12]
-    temporary = dict.fromkeys((Path(tempfile.gettempdir()), Path("/tmp")))
+    temporary = dict.fromkeys(map(Path, (tempfile.gettempdir(), "/tmp", _MEMORY)))
     reasons = []
     for folder in (run.resolve() / _FOLDER, *(t / f"{_prefix()}{digest}" for t in temporary)):
         reason = _unfit(folder)
@@ -99,8 +100,8 @@ def local_endpoint(run: Path) -> str:
             return f"{SOCKET}{folder / _NAME}"
         reasons.append(f"{folder}: {reason}")
     raise UserError(
-        "no folder for the bus's socket: set TMPDIR to one of yours with a short path"
-        f" ({'; '.join(reasons)})"
+        "no folder for the bus's socket: set TMPDIR to one of yours with a short path, on a file"
+        f" system with sockets and locks ({'; '.join(reasons)})"
     )
 
 
@@ -142,6 +143,8 @@ def _unfit(folder: Path) -> str:
             locked = locks.held(file.fileno()) is not None
         path.unlink()
         if not locked:
+            with suppress(OSError):
+                folder.rmdir()
             return "its file system has no locks"
     except OSError as error:
         return os.strerror(error.errno) if error.errno else str(error)

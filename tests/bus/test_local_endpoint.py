@@ -1,6 +1,7 @@
 """Where the bus of one machine lies: in the run's own folder, or in the next place that will do."""
 
 import errno
+import fcntl
 import os
 import socket
 import stat
@@ -75,6 +76,25 @@ def test_where_the_temporary_folder_s_path_is_long_as_well_it_is_in_the_next(
     folder = lies_in(temporary / LONG)
     assert folder.parent == Path("/tmp")
     folder.rmdir()
+
+
+def test_where_no_disk_has_locks_it_is_in_memory(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = temporary / "run"
+    run.mkdir()
+    flock = fcntl.flock
+
+    def on_memory_alone(file: int, operation: int) -> None:
+        if not os.readlink(f"/proc/self/fd/{file}").startswith("/dev/shm/"):  # noqa: PTH115
+            raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
+        flock(file, operation)
+
+    monkeypatch.setattr("fcntl.flock", on_memory_alone)
+    folder = lies_in(run)
+    assert folder.parent == Path("/dev/shm") and list(run.iterdir()) == []
+    remove_local_endpoint(local_endpoint(run))
+    assert not folder.exists()
 
 
 class _NoSockets(socket.socket):
