@@ -45,6 +45,10 @@ class Hold:
         self._gate.open("w").close()
         self.lift()
 
+    def set_clock_back(self) -> None:
+        """The clocks of all processes, and of those to come, are an hour slow from now on."""
+        Path(f"{self._gate}.slow").touch()
+
     def lift(self) -> None:
         """Whoever comes there from now on is not held; who waits there waits for its end."""
         self._gate.unlink(missing_ok=True)

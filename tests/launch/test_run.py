@@ -166,10 +166,12 @@ def test_a_killed_child_is_started_again_and_the_run_ends_the_same(
     tiny_flags: tuple[str, ...],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """Whatever the wall clock says: it is set back by an hour just before."""
     folder = RunFolder(tmp_path / "run")
     hold = Hold("agent_1", "offline", 0, tmp_path / "gate")
     launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
     launcher.read_until(lambda line: line.startswith("agent_1: offline"))
+    hold.set_clock_back()
     told = status_of(folder.root, capsys)
     assert told["state"] == "running"
     processes = told["supervision"]["processes"]
