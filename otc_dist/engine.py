@@ -69,8 +69,6 @@ class Engine:
         # Compiled code outlives the process: other learners and later runs load it.
         if name != "eager" and "TORCHINDUCTOR_CACHE_DIR" not in os.environ:
             os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(compiled_root())
-        # The default of 8 ends a process that holds more brains than that with an error.
-        torch._dynamo.config.recompile_limit = VARIANTS
 
     def fuse(self, function: Callable[P, T]) -> Callable[P, T]:
         """`function` with the same results up to rounding; argument shapes must not vary.
@@ -86,6 +84,9 @@ class Engine:
         return cast(Callable[P, T], _fused[key])
 
     def _compile(self, anatomy: "_Anatomy") -> Callable[..., Any]:
+        # The default of 8 ends a process that holds more brains than that with an error. Not set
+        # where nothing is compiled: torch's compiler takes a second to import, another to clear up.
+        torch._dynamo.config.recompile_limit = VARIANTS
         options: dict[str, Any] = {
             "unsafe_marked_cacheable_functions": CACHEABLE,
             "guard_filter_fn": anatomy.guards,

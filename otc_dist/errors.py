@@ -3,6 +3,7 @@
 import contextlib
 import difflib
 import errno
+import gc
 import os
 import sys
 import threading
@@ -67,4 +68,5 @@ def leave(status: int) -> NoReturn:
             with contextlib.suppress(OSError, ValueError):
                 stream.flush()
         os._exit(status)
+    gc.freeze()  # else every object of torch is looked at once more, for most of a second
     sys.exit(status)

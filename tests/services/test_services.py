@@ -87,6 +87,11 @@ def test_the_env_host_opens_no_agents_data_and_runs_without_torch(finished: Serv
     assert [path for path in record["opened"] if path.startswith(agents)] == []
 
 
+def test_a_learner_that_compiles_nothing_does_without_torchs_compiler(finished: Services) -> None:
+    """To import it takes longer than a small run's training."""
+    assert finished.record("agent_0")["modules"] == ["otc_dist.learner", "torch"]
+
+
 def _equals_brains_in_one_process(services: Services) -> None:
     """The same run without a bus: same steps, policies and returns, to the bit."""
     description = Description.load(services.folder.description)

@@ -119,7 +119,8 @@ def _record(target: Path) -> set[str]:
             opened.add(os.path.abspath(os.fsdecode(arguments[0])))  # noqa: PTH100
 
     def save() -> None:
-        modules = sorted(m for m in sys.modules if m in ("torch", "otc_dist.learner"))
+        telling = {"torch", "torch._dynamo", "otc_dist.learner"}
+        modules = sorted(telling & sys.modules.keys())
         target.write_text(
             json.dumps({"opened": sorted(opened), "keys": sorted(keys), "modules": modules})
         )
