@@ -10,8 +10,8 @@ environment.
 Everything random is keyed by (seed, agent, purpose, deployment, step or block of updates).
 """
 
-import logging
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -42,7 +42,6 @@ from otc_dist.trainer import Phase, Trainer, improvements
 from otc_dist.transitions import Float32, RowLayout, Transitions
 
 SAVE_EVERY = 10_000  # offline updates between two checkpoints
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,6 @@ class Learner:
         self.tuned = -1
         self._agent = spec.name
         self._offline_updates = 0
-        self._alpha = Alpha(description.sampling.alpha)
         deployments = description.deployment
         updates = description.offline.updates + deployments.count * deployments.updates
         self._engine = Engine(resolve(description.engine.name, updates))
@@ -117,6 +115,7 @@ class Learner:
         self._improvements = improvements(self._algorithm)
         self._offline_sampler = offline_sampler(setting)
         self._sampler = sampler or create_sampler(setting, self._experience.capacity)
+        self._kept: Mapping[str, float] = {}
         offline = unpack(self._experience.offline.cpu(), self._layout)
         initial = self._algorithm.initial_state(self._stream("initial"), offline)
         self._state: State = to_tensors(initial, self._engine.device)
@@ -141,8 +140,9 @@ class Learner:
 
     @property
     def alpha(self) -> Alpha:
-        """alpha_k and the expected similarity 𝔻_k it was adapted to."""
-        return self._alpha
+        """alpha_k and the expected similarity 𝔻_k it was adapted to, where the sampler has them."""
+        kept = self._kept or self._sampler.kept
+        return Alpha(kept.get("alpha", 1.0), kept.get("similarity", math.nan))
 
     @property
     def policy(self) -> tuple[Algorithm, State]:
@@ -174,7 +174,7 @@ class Learner:
                 self._fits.train(self._experience, self._stream, on_fit, "typical")
                 data = prepared(self._offline_sampler, self._held(0), self._fits.of("typical"))
             # Offline training is common to all minibatch keys.
-            phase = Phase("offline", 0, 0, self._alpha.value)
+            phase = Phase("offline", 0, 0)
             span = (self._offline_updates, updates)
             self._state = self._offline.train(
                 self._state, data, self._experience.extent, phase, span, on_block
@@ -245,7 +245,7 @@ class Learner:
         def on_block(state: State, done: int, metrics: dict[str, float]) -> None:
             report(Progress("tuning", deployment, done, total, metrics))
 
-        phase = Phase("tuning", deployment, self.description.minibatch_key, self._alpha.value)
+        phase = Phase("tuning", deployment, self.description.minibatch_key)
         self._state = self._online.train(
             {**self._state, **begun.changed},
             begun.data,
@@ -257,17 +257,11 @@ class Learner:
         self.tuned = deployment
 
     def _begin(self, deployment: int) -> Begun:
-        """What the sampler prepares, and alpha by Eq. 4 where there is one."""
+        """What the sampler prepares; what it keeps for the next deployment is kept."""
         with torch.no_grad():
             begun = self._sampler.begin(self._held(deployment))
-        if (similarity := begun.measured.get("similarity")) is None:
-            return begun
-        sampling = self.description.sampling
-        if sampling.adaptive:
-            self._alpha = self._alpha.adapt(similarity, sampling.alpha_bound)
-            if self._alpha.value == sampling.alpha_bound > 0:
-                log.warning("sampling.alpha_bound binds: alpha is %g", self._alpha.value)
-        return begun._replace(measured={"alpha": self._alpha.value, **begun.measured})
+        self._kept = begun.kept
+        return begun
 
     def _held(self, deployment: int) -> Held:
         return Held(
@@ -276,6 +270,7 @@ class Learner:
             self._experience.extent,
             self._engine,
             lambda purpose, *key: self._stream(purpose, deployment, *key),
+            self._kept,
         )
 
     def policy_digest(self) -> str:
@@ -307,7 +302,7 @@ class Learner:
         if not self._fits.load(states, self._experience, self._stream):
             self.tuned = -1
         if found.tuned > 0:
-            self._alpha = Alpha(found.alpha, found.similarity)
+            self._kept = {"alpha": found.alpha, "similarity": found.similarity}
 
     def check(self, path: Path) -> None:
         """Whether `load` could take over a checkpoint. Raises UserError as it does."""
@@ -343,8 +338,8 @@ class Learner:
             run_digest=self.description.tuning_digest(),
             offline_updates=self._offline_updates,
             tuned=self.tuned,
-            alpha=self._alpha.value,
-            similarity=self._alpha.similarity,
+            alpha=self.alpha.value,
+            similarity=self.alpha.similarity,
         )
 
     @staticmethod

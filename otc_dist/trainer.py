@@ -22,12 +22,11 @@ OnBlock = Callable[[State, int, dict[str, float]], None]
 
 
 class Phase(NamedTuple):
-    """What the random numbers of a phase are keyed by, and what its updates are given."""
+    """What the random numbers of a phase are keyed by."""
 
     purpose: str  # "offline" or "tuning"
     deployment: int
     minibatch_key: int
-    alpha: float
 
 
 class Trainer:
@@ -72,7 +71,7 @@ class Trainer:
         Raises:
             UserError: a metric is not finite: training has diverged.
         """
-        names = (*self._algorithm.metric_names, "guarded")
+        names = (*self._algorithm.metric_names, *self._sampler.metric_names)
 
         def on_updates(state: State, done: int, metrics: list[float]) -> None:
             for name, value in zip(names, metrics, strict=True):
@@ -102,7 +101,7 @@ class Trainer:
         on_block: OnBlock,
     ) -> State:
         def improve(state: State, draws: Draws) -> tuple[State, Tensor]:
-            rows, *_, state = self._choose(data, state, draws)
+            rows, _, _, state = self._choose(data, state, draws)
             return algorithm.improve(self._engine.fuse, state, unpack(rows, self._layout), draws)
 
         def on_improvement(state: State, done: int, metrics: list[float]) -> None:
@@ -118,40 +117,39 @@ class Trainer:
             return train(state, improve, draws, self._engine.device, span, 1, on_improvement)
 
     def _update(self, data: Data) -> Update:
-        """One update on rows that the sampler chooses; the choice's `guarded` joins the metrics."""
+        """One update on rows that the sampler chooses; the choice's metrics join the update's."""
 
         def update(state: State, draws: Draws) -> tuple[State, Tensor]:
-            rows, imitated, guarded, state = self._choose(data, state, draws)
+            rows, imitated, more, state = self._choose(data, state, draws)
             # Without the sampler's entries: the step is compiled once, whatever the sampler.
             own = {name: x for name, x in state.items() if not name.startswith("sampler_")}
             new, metrics = self._step(own, rows, imitated, draws)
-            return {**state, **new}, torch.cat((metrics, guarded.view(1)))
+            return {**state, **new}, metrics if more is None else torch.cat((metrics, more))
 
         return update
 
     def _choose(
         self, data: Data, state: State, draws: Draws
-    ) -> tuple[Tensor, Tensor, Tensor, State]:
+    ) -> tuple[Tensor, Tensor, Tensor | None, State]:
         gathered = self._sampler.gather(state, data, draws)
         chosen = self._select(state, gathered, draws)
         rows = data.rows.index_select(0, chosen.rows)
         same = chosen.imitated is chosen.rows
         imitated = rows if same else data.rows.index_select(0, chosen.imitated)
-        return rows, imitated, chosen.guarded, {**state, **chosen.changed}
+        return rows, imitated, chosen.metrics, {**state, **chosen.changed}
 
     def _draws(
         self, noise: Mapping[str, Draw], extent: Extent, phase: Phase, kind: str
     ) -> DrawBlock:
         wanted = {**noise, **self._sampler.noise()}
         purpose, deployment = phase.purpose + kind, phase.deployment
-        alpha = np.float32(phase.alpha)
 
         def draw_block(block: int, count: int) -> Mapping[str, NDArray[np.generic]]:
             key = (phase.minibatch_key, deployment, block)
             minibatches = self._random(f"{purpose}-minibatches", *key)
             indices = self._sampler.draw(minibatches, count, extent)
             noise = self._random(f"{purpose}-noise", deployment, block)
-            return {"alpha": np.full(count, alpha), **indices, **draw(noise, wanted, count)}
+            return {**indices, **draw(noise, wanted, count)}
 
         return draw_block
 

@@ -64,7 +64,7 @@ def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
     learner = tuned(name, *ARMS[arm])
     trainer, experience = learner._online, learner._experience
     noise = learner._algorithm.noise(conformance.BATCH)
-    draw_block = trainer._draws(noise, experience.extent, Phase("tuning", 1, 0, 1.0), "")
+    draw_block = trainer._draws(noise, experience.extent, Phase("tuning", 1, 0), "")
     arrays = to_tensors(draw_block(0, 1), CPU)
     draws = on_gpu({key: array[0] for key, array in arrays.items()})
     state, update = on_gpu(learner._state), trainer._update(on_gpu(learner._begin(1).data))

@@ -101,7 +101,7 @@ def updates(learner: Learner, count: int) -> list[np.ndarray]:
     trainer, extent = learner._online, learner._experience.extent
     update = trainer._update(learner._begin(1).data)
     noise = learner._algorithm.noise(learner.description.algorithm.batch_size)
-    draw_block = trainer._draws(noise, extent, Phase("tuning", 1, 0, 1.0), "")
+    draw_block = trainer._draws(noise, extent, Phase("tuning", 1, 0), "")
     draws = to_tensors(draw_block(0, count), CPU)
     begun = learner._begin(1)
     states, state = [], {**learner._state, **begun.changed}

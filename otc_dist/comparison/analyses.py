@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.draws import Draws
 from otc_dist.algorithms.interface import State
 from otc_dist.comparison import perfect
 from otc_dist.comparison.arms import ORACLE, PERFECT
@@ -26,7 +26,7 @@ from otc_dist.learner import Learner
 from otc_dist.otc.acceptance import ACCEPTANCES
 from otc_dist.otc.distances.interface import Scores
 from otc_dist.otc.mixing import ImitatingAll
-from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, Sampler, Selection
+from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Float32, JointStep
@@ -56,18 +56,11 @@ def create(name: str, description: Description) -> Analysis:
 
 
 @dataclass
-class _Rows:
+class _Rows(Sampler):
     """Values learn from rows that are given, and what imitates from a plain sample of B_k."""
 
     batch_size: int
     rows: Tensor = field(default_factory=lambda: torch.empty(0))  # (n, width), of this deployment
-
-    @property
-    def computes(self) -> bool:
-        return False
-
-    def noise(self) -> dict[str, Draw]:
-        return {}
 
     def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         shape = (updates, self.batch_size)
@@ -81,12 +74,8 @@ class _Rows:
         mine = held.data.rows[: held.extent.size]
         return Begun(held.data._replace(rows=torch.cat((mine, self.rows.to(mine.device)))))
 
-    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
-        return {}
-
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        batch = draws["batch"]
-        return Selection(batch, draws["plain"], torch.zeros((), device=batch.device))
+        return Selection(draws["batch"], draws["plain"])
 
 
 class _Perfect:

@@ -132,7 +132,7 @@ def _balanced_priorities(
     described = description.with_assignments("sampling.name=balanced")
     sampler = create_sampler(specimen.setting._replace(description=described), len(rows))
     extent = Extent(offline, offline, len(rows))
-    data = Data(rows, rows[:, :0])
+    data, nothing = Data(rows, rows[:, :0]), rows.new_zeros(0)
 
     def random(*key: int | str) -> np.random.Generator:
         return stream(description.seed, "mechanism", "balanced", agent, *key)
@@ -143,7 +143,7 @@ def _balanced_priorities(
 
     def update(state: State, draws: Draws) -> tuple[State, Tensor]:
         selection = sampler.select(state, sampler.gather(state, data, draws), draws)
-        return {**state, **selection.changed}, selection.guarded.view(1)
+        return {**state, **selection.changed}, nothing
 
     with torch.no_grad():
         held = Held(specimen.state, data, extent, specimen.engine, random)

@@ -59,8 +59,8 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
         assert isinstance(sampler, rank.RankMatched)
 
         def distances(draws: Draws) -> Tensor:
-            gathered = sampler.gather(specimen.state, pool.data[name], draws)
-            return sampler.distances(specimen.state, gathered, draws)[0]
+            pairs = sampler.pairs(pool.data[name], draws)
+            return sampler.distances(specimen.state, pairs, draws)[0]
 
         return ranked(distances)
 

@@ -22,7 +22,16 @@ from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import State, action_features, unpack
 from otc_dist.algorithms.networks import Mlp, adam, value_and_gradient
 from otc_dist.otc import priorities
-from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, Selection
+from otc_dist.otc.samplers import (
+    Begun,
+    Data,
+    Extent,
+    Gathered,
+    Held,
+    Indices,
+    Sampler,
+    Selection,
+)
 from otc_dist.transitions import RowLayout
 
 ONLINE_SHARE = 0.5  # of D_k in the first minibatches after a deployment (init_online_fraction)
@@ -32,7 +41,7 @@ EVEN = math.log(math.e - 1)  # softplus(EVEN) = 1: at first both densities count
 
 
 @dataclass(frozen=True)
-class Balanced:
+class Balanced(Sampler):
     """Balanced Replay over B_k.
 
     What it learns lies in the state: `sampler_density` (n,), its `_moments` (2, n), the number of
@@ -115,7 +124,7 @@ class Balanced:
             "sampler_updates": updates,
             **_named(priorities.replace(*_priorities(state), numbers, found)),
         }
-        return Selection(numbers, numbers, found.new_zeros(()), changed)
+        return Selection(numbers, numbers, changed)
 
     def loss(self, density: Tensor, offline: Tensor, online: Tensor) -> Tensor:
         """mean [-log(2 / (w_off + 1)) - log(2 w_on / (w_on + 1))], whose minimum is reached by

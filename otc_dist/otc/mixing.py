@@ -1,5 +1,6 @@
 """Samplers made of others: online data beside what is chosen, and a plain sample to imitate."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, 
 
 
 @dataclass(frozen=True)
-class Around:
+class Around(Sampler):
     """Another sampler, as it is. Those below change what they are named for."""
 
     inner: Sampler
@@ -20,7 +21,15 @@ class Around:
     def computes(self) -> bool:
         return self.inner.computes
 
-    def noise(self) -> dict[str, Draw]:
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        return self.inner.metric_names
+
+    @property
+    def kept(self) -> Mapping[str, float]:
+        return self.inner.kept
+
+    def noise(self) -> Mapping[str, Draw]:
         return self.inner.noise()
 
     def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:

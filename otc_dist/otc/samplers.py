@@ -10,7 +10,7 @@ computed once, before its updates (`begin`).
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,13 +33,16 @@ class Extent(NamedTuple):
 
 
 class Data(NamedTuple):
-    """What a learner holds of its own: packed rows, and what its distance keeps beside them."""
+    """What a learner holds of its own: packed rows, what its distance keeps beside them, and what
+    its sampler has prepared.
+    """
 
     rows: Tensor  # (capacity, width)
     features: Tensor  # (capacity, n); n = 0 where no distance keeps anything
     # (capacity,) 0 or 1, half of the episodes each; empty where nothing is fitted by halves
     folds: Tensor = torch.zeros(0, dtype=torch.int64)
-    scores: Tensor = torch.zeros(0)  # (n,) of this deployment; empty where they change with updates
+    # By name, the same in all updates after one deployment: alpha, or scores of all rows.
+    prepared: Mapping[str, Tensor] = MappingProxyType({})
 
 
 class Held(NamedTuple):
@@ -50,6 +53,9 @@ class Held(NamedTuple):
     extent: Extent
     engine: Engine
     random: Random  # keyed by this deployment as well
+    kept: Mapping[str, float] = MappingProxyType(
+        {}
+    )  # `Begun.kept` of the deployment before, if any
 
 
 class Begun(NamedTuple):
@@ -57,7 +63,9 @@ class Begun(NamedTuple):
 
     data: Data
     changed: Mapping[str, Tensor] = MappingProxyType({})  # entries of the state, if it learns
-    measured: Mapping[str, float] = MappingProxyType({})  # for people, and for Eq. 4
+    measured: Mapping[str, float] = MappingProxyType({})  # for people
+    # Numbers to find again at the next deployment, also after a restart: alpha and similarity.
+    kept: Mapping[str, float] = MappingProxyType({})
 
 
 class Selection(NamedTuple):
@@ -65,67 +73,66 @@ class Selection(NamedTuple):
 
     rows: Tensor  # chosen row numbers (batch,), for values
     imitated: Tensor  # row numbers (batch,) for what imitates the data
-    guarded: Tensor  # how many normalisers were guarded (float scalar)
     changed: Mapping[str, Tensor] = MappingProxyType({})  # entries of the state, if it learns
+    metrics: Tensor | None = None  # the values of `Sampler.metric_names`; None: there are none
 
 
 Indices = dict[str, NDArray[np.generic]]
 Gathered = dict[str, Tensor]
 
 
-class Sampler(Protocol):
-    """A sampling strategy. What one learns lies in the brain's state, under keys `sampler_*`."""
+class Sampler:
+    """A sampling strategy. What one learns lies in the brain's state, under keys `sampler_*`.
+
+    What it does not say is as of one that learns nothing and looks at no row that it draws.
+    """
 
     @property
     def computes(self) -> bool:
         """Whether `select` computes so much that compiling it pays."""
-        ...
+        return False
 
-    def noise(self) -> dict[str, Draw]:
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Names of the values in `Selection.metrics`."""
+        return ()
+
+    @property
+    def kept(self) -> Mapping[str, float]:
+        """What stands for `Begun.kept` before the first deployment."""
+        return {}
+
+    def noise(self) -> Mapping[str, Draw]:
         """The random arrays that one `select` needs beside its indices."""
-        ...
+        return {}
 
     def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         """Row numbers, or what they are chosen by, for `updates` updates: each (updates, n)."""
-        ...
+        raise NotImplementedError
 
     def begin(self, held: Held) -> Begun:
         """Prepare for the updates after a deployment, whose data have just been merged."""
-        ...
+        return Begun(held.data)
 
     def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
-        """What `select` looks at of the rows that one update drew."""
-        ...
+        """What `select` looks at of the rows that one update drew, and of what `begin` prepared."""
+        return {}
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        """The rows of one update, from its share of the draws and alpha (scalar)."""
-        ...
+        """The rows of one update, from its share of the draws."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Uniform:
+class Uniform(Sampler):
     """Uniform over the merged data B_k, or over the online data D_1 .. D_k only."""
 
     batch_size: int
     online_only: bool = False
 
-    @property
-    def computes(self) -> bool:
-        return False
-
-    def noise(self) -> dict[str, Draw]:
-        return {}
-
     def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         start = extent.offline if self.online_only else 0
         return {"batch": random.integers(start, extent.size, (updates, self.batch_size))}
 
-    def begin(self, held: Held) -> Begun:
-        return Begun(held.data)
-
-    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
-        return {}
-
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        batch = draws["batch"]
-        return Selection(batch, batch, torch.zeros((), device=batch.device))
+        return Selection(draws["batch"], draws["batch"])

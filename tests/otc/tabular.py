@@ -138,13 +138,12 @@ def sampled_dynamics(sets: Sets, alpha: float, *, replace: bool, minibatches: in
     sampler = RankMatched(settings, 128, distance)
     rows = torch.zeros(len(sets.rows), LAYOUT.width)
     rows[:, 0], rows[:, 1], rows[:, 3] = torch.from_numpy(sets.rows).float().T
-    data = Data(rows, rows[:, :0])
+    data = Data(rows, rows[:, :0], prepared={"alpha": torch.tensor(alpha)})
     extent = Extent(sets.offline, sets.offline, len(sets.rows))
     random, chosen = np.random.default_rng(1), []
     for _ in range(minibatches):
         arrays = {**sampler.draw(random, 1, extent), **draw(random, sampler.noise(), 1)}
         draws = {name: torch.from_numpy(array[0]) for name, array in arrays.items()}
-        draws["alpha"] = torch.tensor(alpha)
         chosen.append(sampler.select({}, sampler.gather({}, data, draws), draws).rows.numpy())
     return frequencies(sets.rows[np.concatenate(chosen)])
 

@@ -88,7 +88,7 @@ def test_a_batch_holds_as_much_online_data_as_described() -> None:
 
     sampler = create_sampler(setting(section), 450)
     for seed in range(20):
-        draws = one_update(sampler, seed, 0.0)
+        draws = one_update(sampler, seed)
         chosen = sampler.select({}, {}, draws)
         assert chosen.rows.shape == (16,)
         assert (chosen.rows[8:] >= 300).all()  # D_1 .. D_k

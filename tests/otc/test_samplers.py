@@ -76,14 +76,18 @@ def state(seed: int = 0) -> State:
     return {name: torch.from_numpy(np.array(x, np.float64)) for name, x in initial.items()}
 
 
-def one_update(sampler: Any, seed: int, alpha: float) -> Draws:
+def at(alpha: float, data: Data) -> Data:
+    """As `begin` prepares data for alpha."""
+    return data._replace(prepared={"alpha": torch.tensor(alpha).double()})
+
+
+def one_update(sampler: Any, seed: int) -> Draws:
     random = np.random.default_rng(seed)
     arrays = {**sampler.draw(random, 1, EXTENT), **draw(random, sampler.noise(), 1)}
-    tensors = {
+    return {
         name: torch.from_numpy(array if array.dtype == np.int64 else array.astype(np.float64))[0]
         for name, array in arrays.items()
     }
-    return tensors | {"alpha": torch.tensor(alpha).double()}
 
 
 def plain_distances(
@@ -145,9 +149,9 @@ def test_otc_chooses_what_plain_loops_choose(
     )
     sampler, data, weights = matched(section), held(), state()
     for seed, alpha in enumerate([0.0, 1.0, 2.5]):
-        draws = one_update(sampler, seed, alpha)
+        draws = one_update(sampler, seed)
         with torch.no_grad():
-            gathered = sampler.gather(weights, data, draws)
+            gathered = sampler.gather(weights, at(alpha, data), draws)
             distances, _ = sampler.distances(weights, gathered, draws)
             chosen = sampler.select(weights, gathered, draws).rows
         candidates, online = draws["candidates"].numpy(), draws["references"].numpy()
@@ -190,9 +194,9 @@ def test_terminal_next_states_have_value_zero() -> None:
     data = held()
     data.rows[:, LAYOUT.terminated] = 1
     sampler = matched(settings(distance="value"))
-    draws = one_update(sampler, 0, 1.0)
+    draws = one_update(sampler, 0)
     with torch.no_grad():
-        distances, guarded = sampler.distances(state(), sampler.gather({}, data, draws), draws)
+        distances, guarded = sampler.distances(state(), sampler.pairs(data, draws), draws)
     assert torch.equal(distances, torch.zeros(64).double())
     assert guarded == 64
 
@@ -202,10 +206,10 @@ def test_online_transitions_match_themselves_unless_excluded(distance: str) -> N
     for exclude, expected in ((False, True), (True, False)):
         section = settings(distance=distance, matching="exact", exclude_self=exclude)
         sampler, data = matched(section), held()
-        draws = one_update(sampler, 0, 1.0)
+        draws = one_update(sampler, 0)
         own = draws["candidates"] >= EXTENT.newest
         with torch.no_grad():
-            distances, _ = sampler.distances(state(), sampler.gather({}, data, draws), draws)
+            distances, _ = sampler.distances(state(), sampler.pairs(data, draws), draws)
         assert own.any()
         assert bool((distances[own] == 0).all()) is expected
 
@@ -220,7 +224,7 @@ def test_uniform_covers_all_and_online_only_covers_the_online_data() -> None:
         assert stats.chisquare(counts[first:]).pvalue > 1e-3
         one = {"batch": torch.from_numpy(draws["batch"][0])}
         selection = sampler.select(state(), sampler.gather({}, held(), one), one)
-        assert torch.equal(selection.rows, one["batch"]) and selection.guarded == 0
+        assert torch.equal(selection.rows, one["batch"]) and selection.metrics is None
 
 
 @pytest.mark.parametrize("distance", ["embedding", "change"])

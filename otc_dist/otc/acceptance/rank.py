@@ -3,17 +3,23 @@
 alpha says how much likelier. It exists here only, and so does its adaptation by Eq. 4.
 """
 
+import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import State
 from otc_dist.description import SamplingSection
+from otc_dist.otc.alpha import Alpha
 from otc_dist.otc.distances.interface import Distance, Matching
 from otc_dist.otc.prioritization import prioritize
 from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, Sampler, Selection
+
+log = logging.getLogger(__name__)
 
 
 def create(distance: Distance, settings: SamplingSection, batch_size: int) -> Sampler:
@@ -26,7 +32,7 @@ def create(distance: Distance, settings: SamplingSection, batch_size: int) -> Sa
 
 
 @dataclass(frozen=True)
-class _Rank:
+class _Rank(Sampler):
     """B comes from B_k with replacement, in random order: ties in the rank fall at random."""
 
     settings: SamplingSection
@@ -36,6 +42,10 @@ class _Rank:
     def computes(self) -> bool:
         return True
 
+    @property
+    def kept(self) -> Mapping[str, float]:
+        return _kept(Alpha(self.settings.alpha))
+
     def noise(self) -> dict[str, Draw]:
         return {"priority": Draw("exponential", (self.settings.candidates,))}
 
@@ -43,17 +53,35 @@ class _Rank:
         shape = (updates, self.settings.candidates)
         return {"candidates": random.integers(0, extent.size, shape)}
 
-    def chosen(self, distances: Tensor, guarded: Tensor, draws: Draws) -> Selection:
-        """By Eq. 3, from the distances (B,) of the candidates."""
+    def begun(self, held: Held, similarity: float, guarded: float, **prepared: Tensor) -> Begun:
+        """With alpha_k by Eq. 4 from 𝔻_k, and what else is `prepared`."""
+        kept, settings = held.kept or self.kept, self.settings
+        alpha = Alpha(kept["alpha"], kept["similarity"])
+        if settings.adaptive:
+            alpha = alpha.adapt(similarity, settings.alpha_bound)
+            if alpha.value == settings.alpha_bound > 0:
+                log.warning("sampling.alpha_bound binds: alpha is %g", alpha.value)
+        value = torch.tensor(alpha.value, dtype=torch.float32, device=held.data.rows.device)
+        return Begun(
+            held.data._replace(prepared={"alpha": value, **prepared}),
+            measured={"alpha": alpha.value, "similarity": similarity, "guarded": guarded},
+            kept=_kept(alpha),
+        )
+
+    def chosen(self, distances: Tensor, alpha: Tensor, draws: Draws) -> Tensor:
+        """Row numbers by Eq. 3, from the distances (B,) of the candidates."""
         positions = prioritize(
             distances,
-            draws["alpha"],
+            alpha,
             draws["priority"],
             self.batch_size,
             with_replacement=self.settings.with_replacement,
         )
-        rows = draws["candidates"][positions]
-        return Selection(rows, rows, guarded)
+        return draws["candidates"][positions]
+
+
+def _kept(alpha: Alpha) -> Mapping[str, float]:
+    return {"alpha": alpha.value, "similarity": alpha.similarity}
 
 
 @dataclass(frozen=True)
@@ -66,6 +94,10 @@ class RankMatched(_Rank):
     """
 
     distance: Matching
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        return ("guarded",)  # normalisers that were guarded
 
     def noise(self) -> dict[str, Draw]:
         return super().noise() | self.distance.noise(self.settings.candidates)
@@ -80,15 +112,20 @@ class RankMatched(_Rank):
         return {**candidates, "references": shuffled[:, :references]}
 
     def begin(self, held: Held) -> Begun:
-        similarity, guarded = self.distance.similarity(held)
-        return Begun(held.data, measured={"similarity": similarity, "guarded": guarded})
+        return self.begun(held, *self.distance.similarity(held))
 
     def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
+        return {**self.pairs(data, draws), "alpha": data.prepared["alpha"]}
+
+    def pairs(self, data: Data, draws: Draws) -> Gathered:
+        """What the distance looks at of both minibatches."""
         names = ("candidates", "references")
         return {name: self.distance.gather(data, draws[name]) for name in names}
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        return self.chosen(*self.distances(state, gathered, draws), draws)
+        distances, guarded = self.distances(state, gathered, draws)
+        rows = self.chosen(distances, gathered["alpha"], draws)
+        return Selection(rows, rows, metrics=guarded.view(1))
 
     def distances(self, state: State, gathered: Gathered, draws: Draws) -> tuple[Tensor, Tensor]:
         """d(s', s'*) (B,) of the candidates, and how many normalisers were guarded."""
@@ -106,12 +143,12 @@ class RankScored(_Rank):
     def begin(self, held: Held) -> Begun:
         found = self.distance.scores(held, exclude_self=self.settings.exclude_self)
         similarity = float(found.values.double().mean())
-        measured = {"similarity": similarity, "guarded": found.guarded}
-        return Begun(held.data._replace(scores=found.values), measured=measured)
+        return self.begun(held, similarity, found.guarded, scores=found.values)
 
     def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
-        return {"distances": data.scores.index_select(0, draws["candidates"])}
+        scores, alpha = data.prepared["scores"], data.prepared["alpha"]
+        return {"distances": scores.index_select(0, draws["candidates"]), "alpha": alpha}
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        distances = gathered["distances"]
-        return self.chosen(distances, distances.new_zeros(()), draws)
+        rows = self.chosen(gathered["distances"], gathered["alpha"], draws)
+        return Selection(rows, rows)

@@ -7,18 +7,27 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.draws import Draws
 from otc_dist.algorithms.interface import State
 from otc_dist.description import SamplingSection
 from otc_dist.otc.distances.interface import Distance
-from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, Selection
+from otc_dist.otc.samplers import (
+    Begun,
+    Data,
+    Extent,
+    Gathered,
+    Held,
+    Indices,
+    Sampler,
+    Selection,
+)
 
 # From scores (size,), D_k's last, and the extent: how likely each row is accepted (size,), 0 to 1.
 Weigh = Callable[[SamplingSection, Tensor, Extent], Tensor]
 
 
 @dataclass(frozen=True)
-class Weighted:
+class Weighted(Sampler):
     """Draws rows of B_k in proportion to weights that follow from their scores.
 
     D_k itself is always accepted whole: it is what the others are held against.
@@ -33,18 +42,11 @@ class Weighted:
     weigh: Weigh
     exclude_self: bool = False
 
-    @property
-    def computes(self) -> bool:
-        return False
-
-    def noise(self) -> dict[str, Draw]:
-        return {}
-
     def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         return {"quantile": random.random((updates, self.batch_size))}
 
     def begin(self, held: Held) -> Begun:
-        """`Data.scores` becomes the sums of the weights up to each row, in float64."""
+        """Prepares the sums of the weights up to each row (size,), in float64."""
         extent = held.extent
         exclude = self.exclude_self or self.settings.exclude_self
         found = self.distance.scores(held, exclude_self=exclude)
@@ -53,13 +55,13 @@ class Weighted:
         sums = weights.cumsum(0)
         accepted = float(sums[-1]) / extent.size
         measured = {"accepted": accepted, "guarded": found.guarded}
-        return Begun(held.data._replace(scores=sums), measured=measured)
+        return Begun(held.data._replace(prepared={"sums": sums}), measured=measured)
 
     def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
         # Beyond [0, total) a row without weight could be met.
-        wanted = draws["quantile"] * data.scores[-1]
-        return {"rows": torch.searchsorted(data.scores, wanted, right=True)}
+        sums = data.prepared["sums"]
+        return {"rows": torch.searchsorted(sums, draws["quantile"] * sums[-1], right=True)}
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
         rows = gathered["rows"]
-        return Selection(rows, rows, torch.zeros((), device=rows.device))
+        return Selection(rows, rows)
