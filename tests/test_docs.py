@@ -1,12 +1,28 @@
-"""No link of the documentation leads nowhere."""
+"""What the documentation names is there, and it reads well: links, files, modules, line lengths."""
 
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = sorted((ROOT / "docs").rglob("*.md"))
+PAGES = [*(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")), *DOCS]
+LONGEST = 110  # characters of a line
+TOPS = ("otc_dist", "services", "launch", "tests", "benchmarks", "docs", "results", r"\.ci")
+# A path below one of our folders, or a file of the root by its name.
+OURS = re.compile(
+    rf"(?<![\w./-])((?:{'|'.join(TOPS)})/[\w./*-]*[\w*/]"
+    r"|(?:README|CONTRIBUTING|CHANGELOG)\.md|pyproject\.toml|constraints\.txt)"
+)
+AMERICAN = re.compile(
+    r"\b(behavior|color|center|neighbor|favor|license[sd]?(?! file)|artifact)s?\b"
+    r"|\b\w+(?:al|ar|d|n|ial|yr)iz(?:e[sd]?|er|ing|ation)\b",
+    re.I,
+)
+PAPER = "Online Tuning for Offline Decentralized Multi-Agent Reinforcement Learning"
+EACH_PAGE = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 
 def anchors(page: Path) -> set[str]:
@@ -15,10 +31,47 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@EACH_PAGE
 def test_every_link_leads_somewhere(page: Path) -> None:
     for link in re.findall(r"\]\((?!https?:)([^)]+)\)", page.read_text()):
         name, _, anchor = link.partition("#")
         target = page.parent / name if name else page
         assert target.exists(), link
         assert not anchor or anchor in anchors(target), link
+
+
+@EACH_PAGE
+def test_every_file_and_module_that_is_named_exists(page: Path) -> None:
+    """However often files move, no page sends a reader to one that is not there."""
+    text = page.read_text()
+    for name in OURS.findall(text):
+        assert list(ROOT.glob(name.rstrip("/"))), name
+    for module in re.findall(r"python -m ((?:otc_dist|tests)[\w.]*\w)", text):
+        assert find_spec(module), module
+
+
+@EACH_PAGE
+def test_lines_are_short(page: Path) -> None:
+    """All but rows of tables, what programs printed, and comments that nobody sees."""
+    text = re.sub(r"(?ms)^```text$.*?^```$", "", page.read_text())
+    for line in text.splitlines():
+        table = line.startswith("|") and page.parent.name == "docs"
+        assert len(line) <= LONGEST or table or line.startswith("<!--"), line
+
+
+@EACH_PAGE
+def test_spelling_is_british(page: Path) -> None:
+    text = re.sub(r"```.*?```|`[^`]*`|\]\([^)]*\)", "", page.read_text(), flags=re.S)
+    found = AMERICAN.search(" ".join(text.split()).replace(PAPER, ""))
+    assert not found, found and found[0]
+
+
+def test_the_index_names_every_page() -> None:
+    index = (ROOT / "docs" / "index.md").read_text()
+    for page in DOCS:
+        if page.parent.name == "docs" and page.name != "index.md":
+            assert f"]({page.name})" in index, page.name
+
+
+def test_the_readme_stays_short() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 220
