@@ -67,7 +67,7 @@ _ACTIONS: tuple[_Action, ...] = (
     _Action(
         "--export",
         "export.command",
-        "data sets for other tools, in the folder --out: minari, d4rl, parquet, lerobot or csv",
+        f"data sets for other tools, in the folder --out: {', '.join(FORMATS)}",
         metavar="FORMAT",
         choices=tuple(FORMATS),
     ),
