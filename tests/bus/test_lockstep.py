@@ -19,7 +19,7 @@ from otc_dist.bus.status import Heartbeat, StatusBoard
 from otc_dist.bus.wire import Rejections
 from otc_dist.spec import AgentSpec
 
-PATIENCE = 20.0  # seconds; only a test that fails waits as long
+PATIENCE = 60.0  # seconds; only a test that fails waits as long
 DIGEST = "0" * 16
 KEYS = Keys("run", "digest")
 AGENTS = tuple(AgentSpec(f"agent_{i}", 2, (-1.0,), (1.0,)) for i in range(2))

@@ -28,7 +28,7 @@ from otc_dist.bus.wire import Rejections
 from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec
 
-PATIENCE = 20.0  # seconds; only a test that fails waits as long
+PATIENCE = 60.0  # seconds; only a test that fails waits as long
 
 
 def test_a_used_port_is_one_clear_line() -> None:

@@ -17,7 +17,7 @@ from otc_dist.run_folder import RunFolder
 
 AGENTS = ("agent_0", "agent_1", "agent_2")  # of the runs here
 CHECKSUM = 4  # the last bytes of a logged step, which differ with the run's name
-DEADLINE = 240.0  # seconds: a test that waits longer has failed
+DEADLINE = 600.0  # seconds: a test that waits longer has failed
 
 
 class Hold:

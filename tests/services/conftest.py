@@ -21,7 +21,7 @@ from otc_dist.description import Description
 from otc_dist.run_folder import RunFolder
 from otc_dist.transitions import JointStep
 
-PATIENCE = 180.0  # seconds; only a test that fails waits as long
+PATIENCE = 600.0  # seconds; only a test that fails waits as long
 AGENTS = ("agent_0", "agent_1", "agent_2")
 PROCESSES = ("host", *AGENTS)
 WRAPPED = Path(__file__).with_name("wrapped.py")
@@ -142,7 +142,7 @@ def make_run() -> Iterator[Callable[..., Services]]:
             "env": {"id": "hopper-3x1"},
             "dataset": {"name": "hopper-3x1/random"},
         }
-        description = Description.build(data, [*TINY, "bus.answer_deadline=30.0", *assignments])
+        description = Description.build(data, [*TINY, "bus.answer_deadline=120.0", *assignments])
         store.ensure(description.dataset.name, description.dataset.transitions)
         root.mkdir(parents=True)
         folder = RunFolder(root)

@@ -193,9 +193,10 @@ def test_a_learner_that_never_answers_ends_the_run_with_its_name(
     make_run: Callable[..., Services], tmp_path: Path
 ) -> None:
     run = make_run(tmp_path / "run", "bus.answer_deadline=4.0")
+    patience = ("--patience", "120")  # to come, however busy the machine is
     for process in ("host", "agent_0", "agent_2"):
-        run.start(process, stub=True)
-    run.start("agent_1", stub=True, mute=True)
+        run.start(process, *patience, stub=True)
+    run.start("agent_1", *patience, stub=True, mute=True)
     assert run.wait("host") == 1
     last = run.output("host").splitlines()[-1]
     assert last.startswith("error: no answer from agent_1 for 4 s")
