@@ -28,6 +28,19 @@ TINY = (
     "engine.name=eager",
 )
 
+# Where files are shared out among processes, the longest come first: else one works on alone.
+LONGEST = (
+    *("services/test_services.py", "launch/test_run.py", "services/test_faults.py"),
+    *("launch/test_going_on.py", "launch/test_keep.py", "test_readme.py"),
+    *("comparison/test_command.py", "launch/test_tasks.py", "launch/test_chaos.py"),
+    *("launch/test_ssh.py", "test_engine.py", "test_learner.py", "deployment_log/test_recovery.py"),
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    places = {Path(__file__).parent / name: n for n, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
+
 
 @pytest.fixture(scope="session", autouse=True)
 def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
