@@ -124,11 +124,16 @@ def test_brains_called_in_one_process_come_to_the_same_bytes(finished: Services)
 @pytest.mark.parametrize(
     "assignments",
     [
-        ("algorithm.name=awac", "sampling.distance=value"),
+        (
+            *("algorithm.name=awac", "sampling.distance=value", "algorithm.hidden=[16, 16]"),
+            "deployment.exploration=sequential",
+        ),
         ("algorithm.name=cql", "sampling.distance=value", "algorithm.hidden=[16, 16]"),
         ("algorithm.name=td3bc", "sampling.name=balanced", "algorithm.hidden=[16, 16]"),
-        ("algorithm.name=bremen", "algorithm.hidden=[16, 16]"),
-        ("deployment.exploration=sequential",),
+        (
+            *("algorithm.name=bremen", "algorithm.hidden=[16, 16]", "algorithm.models=2"),
+            *("algorithm.improvements=2", "algorithm.horizon=10"),
+        ),
     ],
 )
 def test_everything_a_description_can_ask_for_runs_on_the_bus(
