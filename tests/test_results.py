@@ -1,13 +1,15 @@
 """The numbers of the documentation are those that the committed raw scores give."""
 
 import re
+import statistics
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from otc_dist.comparison import collected, mechanism_table, tables
-from otc_dist.comparison.judgement import returns
+from otc_dist.comparison.intervals import Difference
+from otc_dist.comparison.judgement import recommended, returns
 from otc_dist.comparison.scores import Run
 from otc_dist.comparison.statistics import summarise
 
@@ -66,3 +68,36 @@ def test_why_it_harmed_is_told_in_the_measured_numbers() -> None:
         values = " | ".join(f"{value:,.0f}" for value in returns(run))
         alphas = " ".join(f"{told['agent_0']['alpha']:.2f}" for told in run.told)
         assert f"| {values} | {alphas} |" in page, arm
+
+
+def test_what_the_recommended_policies_gain_is_told_in_the_measured_numbers() -> None:
+    """What one arm returns beside another, as the pages say it in a sentence."""
+    page, readme = (
+        " ".join((ROOT / name).read_text().split()) for name in ("docs/results.md", "README.md")
+    )
+    runs = collected.collect(ROOT / "results/tuning/hopper").runs
+    found = {arm: {run.seed: recommended(run) or 0.0 for run in of} for arm, of in runs.items()}
+    assert all(len(seeds) == 10 for seeds in found.values())
+
+    def beside(arm: str, other: str) -> str:
+        minus = {seed: value - found[other][seed] for seed, value in found[arm].items()}
+        difference = Difference.of(minus)
+        return f"{difference.mean:+,.0f} [{difference.t_low:+,.0f}, {difference.t_high:+,.0f}]"
+
+    for arm in ("typical-share", "uniform-null"):
+        assert beside(arm, "uniform") in page and beside(arm, "uniform") in readme, arm
+    assert (
+        f"Beside the null arm the default returns {beside('typical-share', 'uniform-null')}" in page
+    )
+    assert f"beside a random tenth {beside('typical-share', 'random-share')}" in page
+    assert beside("random-share", "uniform").split(" ", 1)[1] in page
+    for arm in ("typical-share", "uniform", "uniform-null"):
+        gains = [
+            returns_of / first - 1
+            for run in runs[arm]
+            for returns_of, first in [(recommended(run) or 0.0, returns(run)[0])]
+        ]
+        above, median = sum(gain > 0 for gain in gains), statistics.median(gains)
+        for text in (page, readme):
+            assert re.search(rf"{above} of 10|in {above} ", text), (arm, above)
+            assert f"{median:.0%}" in text, (arm, median)
