@@ -9,15 +9,18 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
+
 from otc_dist import user_code
 from otc_dist.description import Description
 from otc_dist.description.algorithms import BremenSection
 from otc_dist.envs import registry
 from otc_dist.errors import run_main
 from otc_dist.learner import Learner, Progress
+from otc_dist.randomness import stream
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import AgentSpec
-from otc_dist.stand_in import stand_in
+from otc_dist.transitions import Transitions
 
 ROWS = 256  # of made-up data
 DEPLOYED = 16
@@ -56,9 +59,31 @@ def _exercise(description: Description, agent: AgentSpec) -> None:
         online = deployment.count * deployment.transitions
         rows = description.dataset.transitions + online - DEPLOYED
     task = registry.task(description.env.id)
-    learner = Learner(short, agent, stand_in(agent, rows), task)
+    learner = Learner(short, agent, made_up(agent, rows), task)
     learner.pretrain(_ignore, lambda: None)
-    learner.tune(1, stand_in(agent, DEPLOYED), _ignore)
+    learner.tune(1, made_up(agent, DEPLOYED), _ignore)
+
+
+def made_up(agent: AgentSpec, rows: int) -> Transitions:
+    """`rows` transitions that a learner of `agent` accepts: no episode ends, all is available."""
+    random = stream(0, agent.name, "compile", rows)
+    low, high = np.array(agent.action_low), np.array(agent.action_high)
+    no = np.zeros(rows, dtype=np.bool_)
+    observations, next_observations = random.standard_normal(
+        (2, rows, agent.observation_size), np.float32
+    )
+    actions = random.uniform(low, high, (rows, agent.action_size)).astype(np.float32)
+    if agent.choices:  # indices, all of them available
+        actions = np.rint(actions)
+        observations[:, -agent.choices :] = next_observations[:, -agent.choices :] = 1
+    return Transitions(
+        observations=observations,
+        actions=actions,
+        rewards=random.standard_normal(rows, np.float32),
+        next_observations=next_observations,
+        terminated=no,
+        truncated=no,
+    )
 
 
 def _ignore(progress: Progress) -> None:

@@ -14,22 +14,19 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from otc_dist import checkpoint
-from otc_dist.action_scale import ActionScale
+from otc_dist.actor import ActingPhase, Actor
 from otc_dist.algorithms import create
-from otc_dist.algorithms.draws import draw, to_tensors
+from otc_dist.algorithms.draws import to_tensors
 from otc_dist.algorithms.interface import Algorithm, Critic, State, unpack
 from otc_dist.description import Description
 from otc_dist.engine import Engine, resolve
-from otc_dist.errors import UserError
 from otc_dist.experience import Experience
-from otc_dist.exploration import explore
 from otc_dist.fits import Fits
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
@@ -97,15 +94,15 @@ class Learner:
         self._engine = Engine(resolve(description.engine.name, updates))
 
         algorithm = description.algorithm
-        self._scale = ActionScale(spec)
         self._layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
         self._algorithm = create(algorithm, spec, task)
+        self._actor = Actor(description, spec, self._algorithm)
         critic = self._algorithm if isinstance(self._algorithm, Critic) else None
         setting = Setting(description, self._layout, critic)
         self._fits = Fits(setting, self._engine, fits)
         self._experience = Experience(
             self._layout,
-            self._scale,
+            self._actor.scale,
             data,
             deployments.count * deployments.transitions,
             self._fits.own,
@@ -186,7 +183,7 @@ class Learner:
     def act(
         self,
         observations: Float32,
-        phase: Literal["deployment", "evaluation"],
+        phase: ActingPhase,
         deployment: int,
         step: int,
         *,
@@ -199,26 +196,9 @@ class Learner:
         Raises:
             UserError: an observation whose mask has no available action.
         """
-        choices = self.spec.choices
-        if choices and not (observations[:, -choices:] > 0).any(axis=1).all():
-            raise UserError(
-                f"an observation of {self._agent} has no available action, at step {step} of"
-                f" {phase} {deployment}: the environment must always offer one"
-            )
-        wanted = self._algorithm.acting_noise(len(observations))
-        noise = draw(self._stream("act", phase, deployment, step), wanted, 1)
-        device = self._engine.device
-        with torch.no_grad():
-            draws = {name: array[0] for name, array in to_tensors(noise, device).items()}
-            states = torch.tensor(observations, device=device)
-            actions: Float32 = self._algorithm.act(self._state, states, draws).cpu().numpy()
-        if exploring:
-            settings, random = (
-                self.description.deployment,
-                self._stream("explore", deployment, step),
-            )
-            actions = explore(actions, observations, choices, settings, random)
-        return self._scale.unscaled(actions)
+        return self._actor.act(
+            self._state, observations, phase, deployment, step, exploring=exploring
+        )
 
     def tune(self, deployment: int, data: Transitions, report: Report) -> None:
         """Merge D_k, measure, and make L updates (lines 5 to 16 of Algorithm 1).

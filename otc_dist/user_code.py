@@ -2,12 +2,13 @@
 
 A log, a data set or a run folder can name such code, and may come from somebody else. To read one
 must never run what it names. So nothing is imported but what `allow` was told of in this process:
-by a description that is run, by a name on the command line, or by `--allow module:function`.
+by a description that is run, by a name on the command line, by `--allow module:function`, or by
+`allow=` in Python.
 """
 
 import argparse
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from otc_dist.errors import UserError
 from otc_dist.names import is_code
@@ -20,13 +21,18 @@ def allow(*references: str) -> None:
     _allowed.update(filter(is_code, references))
 
 
+def allow_all(references: str | Iterable[str]) -> None:
+    """As `allow`, for one or several given by a caller in Python."""
+    allow(*((references,) if isinstance(references, str) else references))
+
+
 def require(*references: str) -> None:
     """Raises UserError, which says how to allow it, if one of these is code and not allowed."""
     for reference in filter(is_code, references):
         if reference not in _allowed:
             raise UserError(
                 f"{reference} is code, which reading a file does not run: if you know it and trust"
-                f" it, add --allow {reference}"
+                f" it, add --allow {reference} (in Python: allow={reference!r})"
             )
 
 

@@ -162,7 +162,7 @@ class Bcq(ActorCritic):
         """The best by Q_1 of `acting_candidates` decoded and perturbed actions."""
         actions, q = self._candidates(state, observations, noise["act"])
         best = q.argmax(-1)
-        return actions[torch.arange(len(actions), device=actions.device), best]
+        return actions[torch.arange(actions.shape[0], device=actions.device), best]
 
     def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
         return {"value": Draw("normal", (count, samples, self.latent_size))}

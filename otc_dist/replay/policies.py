@@ -7,17 +7,13 @@ from typing import TYPE_CHECKING
 
 from otc_dist.deployment_log.reader import LogSummary
 from otc_dist.description import Description
-from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import AgentSpec
-from otc_dist.stand_in import stand_in
 from otc_dist.transitions import JointStep
 
 if TYPE_CHECKING:
-    from otc_dist.learner import Learner
-
-_ROWS = 256  # of made-up data, with which a learner that only acts is content
+    from otc_dist.policy import Policy
 
 
 @dataclass(frozen=True)
@@ -51,35 +47,37 @@ def check_policies(
             verdicts.append(Verdict(agent.name, None, f"its checkpoint is not at {path}"))
             continue
         try:
-            learner = _learner(description, agent, path)
+            policy = _policy(description, agent, path)
         except UserError as error:
             verdicts.append(Verdict(agent.name, None, str(error)))
             continue
-        verdicts.append(_check(summary, learner, index, steps()))
+        verdicts.append(_check(summary, policy, index, steps()))
     return verdicts
 
 
-def _learner(description: Description, agent: AgentSpec, path: Path) -> "Learner":
-    """A learner with a checkpoint's policy. Raises UserError."""
-    from otc_dist.learner import Learner  # with torch it takes seconds
+def _policy(description: Description, agent: AgentSpec, path: Path) -> "Policy":
+    """A checkpoint's policy, which acts where the run's did. Raises UserError."""
+    import torch  # it takes seconds
 
-    task = registry.task(description.env.id)
-    learner = Learner(description, agent, stand_in(agent, _ROWS), task)
-    learner.load(path)
-    return learner
+    from otc_dist.policy import Policy
+
+    cuda = description.engine.name == "cuda-graph"
+    if cuda and not torch.cuda.is_available():
+        raise UserError("its actions were computed on a CUDA device, and there is none here")
+    return Policy.of_checkpoint(path, description, agent, "cuda" if cuda else "cpu")
 
 
 def _check(
-    summary: LogSummary, learner: "Learner", index: int, steps: Iterable[JointStep]
+    summary: LogSummary, policy: "Policy", index: int, steps: Iterable[JointStep]
 ) -> Verdict:
-    name, digest = learner.spec.name, learner.policy_digest()
+    name, digest = policy.spec.name, policy.digest
     recorded = summary.policies.get(name, digest)  # an unfinished log does not tell
     if recorded != digest:
         return Verdict(name, False, f"policy {recorded} acted, but its checkpoint holds {digest}")
     count, k = 0, summary.header.deployment
     for step in steps:
         observations, exploring = step.observations[index], step.exploring[index]
-        actions = learner.act(observations, "deployment", k, step.step, exploring=exploring)
+        actions = policy.act_as(observations, "deployment", k, step.step, exploring=exploring)
         if actions.tobytes() != step.actions[index].tobytes():
             text = f"policy {digest} acts otherwise than was logged in step {step.step:,}"
             return Verdict(name, False, text)

@@ -14,9 +14,9 @@ from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
 from otc_dist.learner import Learner
 from otc_dist.run_folder import RunFolder
-from otc_dist.stand_in import stand_in
 from otc_dist.transitions import JointStep
 
+from ..brains import transitions
 from .deployments import FAMILIES, described, header_of, logged, played, retold
 
 WRONG, CLOSE, UNBOUND = 1, 3, 4
@@ -226,7 +226,7 @@ def acted(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     )
     learners = []
     for agent in registry.team_spec("hopper-3x1").agents:
-        learners.append(Learner(description, agent, stand_in(agent, 300)))
+        learners.append(Learner(description, agent, transitions(0, 300, agent)))
         learners[-1].pretrain(lambda progress: None, lambda: None)
         learners[-1].save(folder.checkpoint(agent.name, 0))
     policies = {learner.spec.name: learner.policy_digest() for learner in learners}

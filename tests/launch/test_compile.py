@@ -3,7 +3,7 @@
 import pytest
 
 from otc_dist.envs import registry
-from otc_dist.stand_in import stand_in
+from otc_dist.launch.compile import made_up
 from otc_dist.transitions import ReplayBuffer, RowLayout
 
 
@@ -11,4 +11,4 @@ from otc_dist.transitions import ReplayBuffer, RowLayout
 def test_made_up_data_fit_the_agent(env_id: str) -> None:
     agent = registry.team_spec(env_id).agents[1]
     layout = RowLayout(agent.observation_size, agent.action_size, agent.choices)
-    ReplayBuffer(layout, 50).append(stand_in(agent, 50), offline=True)
+    ReplayBuffer(layout, 50).append(made_up(agent, 50), offline=True)
