@@ -1,0 +1,51 @@
+"""Runs that earlier versions made, kept in tests/earlier/, are still read as docs/versions.md says.
+
+Each is a run of Navigation with networks of four units: its simulator has the same bits everywhere.
+"""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from otc_dist import Policy, read_log
+from otc_dist.datasets.importers import import_files
+from otc_dist.description import Description
+from otc_dist.errors import UserError
+from otc_dist.launch import run_record
+from otc_dist.replay.__main__ import main as replay
+from otc_dist.report.write import write_report
+from otc_dist.run_folder import RunFolder
+
+EARLIER = Path(__file__).parent / "earlier"
+LOG = Path("deployments", "deployment_01.mcap")
+
+
+@pytest.fixture(params=sorted(path.name for path in EARLIER.iterdir()))
+def made(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """A copy of a run folder, in which a report can be written."""
+    return Path(shutil.copytree(EARLIER / request.param, tmp_path / "made"))
+
+
+def test_a_log_is_read_played_again_and_imported(made: Path, tmp_path: Path) -> None:
+    log = shutil.copy(made / LOG, tmp_path)  # apart from its policies, whose bits a processor has
+    assert replay([str(log), "--verify"]) == 4  # unbound: log version 1
+    assert replay([str(log), "--verify", "--accept-unbound"]) == 0
+    assert len(read_log(made / LOG).agents["agent_0"]) == 40
+    assert import_files([made / LOG], "earlier").transitions == 40
+
+
+def test_a_checkpoint_acts(made: Path) -> None:
+    policy = Policy.load(made / "agents" / "agent_0" / "checkpoint_01.safetensors")
+    actions = policy.act(np.zeros((3, policy.spec.observation_size), np.float32))
+    assert actions.shape == (3, policy.spec.action_size) and np.isfinite(actions).all()
+    assert policy.deployment == 1
+
+
+def test_a_run_folder_is_looked_at_but_not_continued(made: Path) -> None:
+    folder = RunFolder(made)
+    assert write_report(folder) == folder.report
+    assert Description.load(folder.description).env.id == "navigation"
+    with pytest.raises(UserError, match=r"has changed since the run began|was begun with otc-dist"):
+        run_record.reopen(folder)
