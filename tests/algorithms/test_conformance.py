@@ -24,6 +24,7 @@ from otc_dist.datasets.writing import Provenance, locked, publish
 from otc_dist.description import AlgorithmSection, Description
 from otc_dist.envs import registry
 from otc_dist.errors import UserError
+from otc_dist.launch import forecast
 from otc_dist.learner import Learner
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
@@ -388,3 +389,8 @@ def test_an_agent_learns_from_its_own_data_alone(name: str) -> None:
             digests[-1].append(learner.policy_digest())
     assert digests[0][0] == digests[1][0]
     assert digests[0][1] != digests[1][1]
+
+
+@EACH
+def test_what_an_update_costs_is_known_to_the_forecast(name: str) -> None:
+    assert forecast.UPDATE[name] > 0
