@@ -51,8 +51,9 @@ class Policy:
     ) -> None:
         self._actor, self._state = actor, state
         self.spec: AgentSpec = actor.spec
+        self.deployment: int = deployment
+        self.digest: str = digest
         self.description: Description = actor.description
-        self.deployment, self.digest = deployment, digest
 
     @classmethod
     def load(

@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
 CONTRIBUTING = ROOT / "CONTRIBUTING.md"
 DOCS = sorted((ROOT / "docs").rglob("*.md"))
+REFERENCE = ROOT / "docs" / "reference"
 INSTALL = "python3 -m venv .venv && .venv/bin/pip install -q -c constraints.txt -e "
 NOTES = ("short", "says", "ci", "not run")
 
@@ -76,6 +77,11 @@ def perform(page: Path, folder: Path) -> None:
             assert done.returncode != 0 and command.says in done.stderr, command.text
         else:
             assert done.returncode == 0, f"{command.text}\n{done.stdout}{done.stderr}"
+
+
+def examples(page: Path) -> str:
+    """What a page does in Python: all ```python blocks, one after the other."""
+    return "\n".join(re.findall(r"(?ms)^```python\n(.*?)^```$", page.read_text()))
 
 
 def test_the_two_commands_install_alike() -> None:
@@ -144,6 +150,26 @@ def test_every_command_of_the_readme_runs(folder: Path) -> None:
 @pytest.mark.parametrize("page", DOCS, ids=lambda page: page.name)
 def test_every_command_of_a_page_runs(page: Path, folder: Path) -> None:
     perform(page, folder)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [README, REFERENCE / "policy.md", REFERENCE / "log.md"])
+def test_every_example_in_python_runs(page: Path, folder: Path) -> None:
+    assert examples(page)
+    done = subprocess.run(
+        [sys.executable, "-c", examples(page)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_examples_of_the_readme_have_three_lines_each() -> None:
+    blocks = re.findall(r"(?ms)^```python\n(.*?)^```$", README.read_text())
+    lines = [[line for line in block.splitlines() if line] for block in blocks]
+    assert [len([x for x in block if not x.startswith("import")]) for block in lines] == [3, 3, 3]
 
 
 @pytest.mark.slow

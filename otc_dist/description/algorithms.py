@@ -28,8 +28,8 @@ class CommonSection(Section):
     discrete: ClassVar[bool] = False
     plans: ClassVar[bool] = False
 
-    batch_size: int = Field(default=128, ge=1)
-    discount: float = Field(default=0.99, ge=0, lt=1)
+    batch_size: int = Field(default=128, ge=1, description="transitions of an update")
+    discount: float = Field(default=0.99, ge=0, lt=1, description="gamma, of a step")
 
 
 class SmallSection(CommonSection):
@@ -57,8 +57,8 @@ class BcqSection(SmallSection):
     """BCQ. What Table 3 leaves open is as in its authors' code."""
 
     name: Literal["bcq"] = "bcq"
-    actor_learning_rate: float = Field(default=1e-4, gt=0)
-    critic_learning_rate: float = Field(default=1e-4, gt=0)
+    actor_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
+    critic_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
     vae_learning_rate: float = Field(
         default=1e-3, gt=0, description="not in Table 3: BCQ's own code"
     )
@@ -76,8 +76,8 @@ class AwacSection(SmallSection):
     """
 
     name: Literal["awac"] = "awac"
-    actor_learning_rate: float = Field(default=1e-4, gt=0)
-    critic_learning_rate: float = Field(default=5e-4, gt=0)
+    actor_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
+    critic_learning_rate: float = Field(default=5e-4, gt=0, description="Table 3")
     weighting: Literal["softmax", "exponential"] = Field(
         default="softmax", description="softmax over the minibatch (rlkit) or exp up to 100 (CORL)"
     )
@@ -92,8 +92,8 @@ class CqlSection(LargeSection):
     """
 
     name: Literal["cql"] = "cql"
-    actor_learning_rate: float = Field(default=1e-4, gt=0)
-    critic_learning_rate: float = Field(default=1e-4, gt=0)
+    actor_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
+    critic_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
     target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
     weight: float = Field(
         default=10.0, ge=0, description="w of the conservative term (its authors: 5 or 10)"
@@ -109,7 +109,7 @@ class DiscreteCqlSection(LargeSection):
     discrete: ClassVar[bool] = True
 
     name: Literal["discrete-cql"] = "discrete-cql"
-    critic_learning_rate: float = Field(default=1e-4, gt=0)
+    critic_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
     target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
     weight: float = Field(
         default=1.0, ge=0, description="alpha of the conservative term, as in the published codes"
@@ -120,8 +120,8 @@ class Td3BcSection(LargeSection):
     """TD3+BC. What Table 3 leaves open is as in its authors' code."""
 
     name: Literal["td3bc"] = "td3bc"
-    actor_learning_rate: float = Field(default=3e-4, gt=0)
-    critic_learning_rate: float = Field(default=3e-4, gt=0)
+    actor_learning_rate: float = Field(default=3e-4, gt=0, description="Table 3")
+    critic_learning_rate: float = Field(default=3e-4, gt=0, description="Table 3")
     target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
     q_weight: float = Field(
         default=2.5, ge=0, description="alpha, weight of Q against imitation of the data"

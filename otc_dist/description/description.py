@@ -48,9 +48,9 @@ TOLD = (
 class Description(Section):
     """A whole run. `launch/*.toml` are descriptions; the run folder keeps the resolved one."""
 
-    name: Name
-    summary: str = ""
-    seed: int = Field(default=0, ge=0, lt=2**31)
+    name: Name = Field(description="of the run's folder, with the seed")
+    summary: str = Field(default="", description="one line for people; empty: told by the settings")
+    seed: int = Field(default=0, ge=0, lt=2**31, description="of everything random")
     minibatch_key: int = Field(default=0, ge=0, description="other minibatches while tuning")
     env: EnvSection
     dataset: DatasetSection

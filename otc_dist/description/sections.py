@@ -50,10 +50,10 @@ class EmbeddingSection(Section):
     """The conditional VAE of the embedding distance d_e, trained on B_0 only, then frozen."""
 
     size: int = Field(default=10, ge=1, description="latent dimension (Table 3)")
-    hidden: tuple[PositiveInt, ...] = Field(default=(64, 64))
-    updates: int = Field(default=10_000, ge=1)
-    batch_size: int = Field(default=256, ge=1)
-    learning_rate: float = Field(default=1e-3, gt=0)
+    hidden: tuple[PositiveInt, ...] = Field(default=(64, 64), description="hidden layers")
+    updates: int = Field(default=10_000, ge=1, description="on B_0")
+    batch_size: int = Field(default=256, ge=1, description="transitions of an update")
+    learning_rate: float = Field(default=1e-3, gt=0, description="Adam's")
     kl_weight: float = Field(default=1e-6, ge=0, description="small, or the latent collapses")
     minimum_active: int = Field(
         default=4, ge=0, description="warn below this many active dimensions"
@@ -63,11 +63,13 @@ class EmbeddingSection(Section):
 class DynamicsSection(Section):
     """The forward model of d_f and `typical`, trained on B_0 only, and d_f's correction of it."""
 
-    hidden: tuple[PositiveInt, ...] = Field(default=(128, 128))
+    hidden: tuple[PositiveInt, ...] = Field(default=(128, 128), description="hidden layers")
     updates: int = Field(default=5_000, ge=1, description="of each of its two networks")
-    batch_size: int = Field(default=256, ge=1)
-    learning_rate: float = Field(default=1e-3, gt=0)
-    correction_hidden: tuple[PositiveInt, ...] = Field(default=(64, 64))
+    batch_size: int = Field(default=256, ge=1, description="transitions of an update")
+    learning_rate: float = Field(default=1e-3, gt=0, description="Adam's")
+    correction_hidden: tuple[PositiveInt, ...] = Field(
+        default=(64, 64), description="hidden layers of the correction"
+    )
     correction_updates: int = Field(
         default=500, ge=1, description="on D_k, of each of two networks, at most"
     )
@@ -76,7 +78,9 @@ class DynamicsSection(Section):
 class SamplingSection(Section):
     """How minibatches are drawn from B_k while tuning (Algorithm 1, lines 10 to 14)."""
 
-    name: SamplingName = "otc"
+    name: SamplingName = Field(
+        default="otc", description="the strategy; distance and acceptance are those of `otc`"
+    )
     distance: DistanceName = Field(
         default="typical",
         description="; ".join(f"{name}: {facts.meaning}" for name, facts in DISTANCES.items()),
