@@ -1,8 +1,8 @@
 """Online tuning for offline decentralized multi-agent RL, as a distributed system.
 
-What is here is stable and typed: a name stays, and what it takes, unless the changelog of a minor
-version says otherwise. Everything else may move. Each name is imported when it is first used: torch
-for `Policy` and `Learner` only, a simulator for `make_env` only.
+What is here is stable and typed: a name stays, with what it takes, from one minor version to the
+next. Everything else may move. Each name is imported when it is first used: torch for `Policy` and
+`Learner` only, a simulator for `make_env` only.
 
     Policy         a trained policy by itself: `Policy.load(...)`, `act`, `export`
     read_log       a deployment's log as arrays, and `to_pandas()`
