@@ -79,18 +79,16 @@ def test_what_the_recommended_policies_gain_is_told_in_the_measured_numbers() ->
     found = {arm: {run.seed: recommended(run) or 0.0 for run in of} for arm, of in runs.items()}
     assert all(len(seeds) == 10 for seeds in found.values())
 
-    def beside(arm: str, other: str) -> str:
-        minus = {seed: value - found[other][seed] for seed, value in found[arm].items()}
-        difference = Difference.of(minus)
+    def minus(arm: str, other: str) -> str:
+        by_seed = {seed: value - found[other][seed] for seed, value in found[arm].items()}
+        difference = Difference.of(by_seed)
         return f"{difference.mean:+,.0f} [{difference.t_low:+,.0f}, {difference.t_high:+,.0f}]"
 
     for arm in ("typical-share", "uniform-null"):
-        assert beside(arm, "uniform") in page and beside(arm, "uniform") in readme, arm
-    assert (
-        f"Beside the null arm the default returns {beside('typical-share', 'uniform-null')}" in page
-    )
-    assert f"beside a random tenth {beside('typical-share', 'random-share')}" in page
-    assert beside("random-share", "uniform").split(" ", 1)[1] in page
+        assert minus(arm, "uniform") in page and minus(arm, "uniform") in readme, arm
+    assert f"The default minus the null arm is {minus('typical-share', 'uniform-null')}" in page
+    assert f"minus a random tenth {minus('typical-share', 'random-share')}" in page
+    assert minus("random-share", "uniform").split(" ", 1)[1] in page
     for arm in ("typical-share", "uniform", "uniform-null"):
         gains = [
             returns_of / first - 1
