@@ -127,19 +127,13 @@ def test_flags_in_the_wrong_place_are_one_line(arguments: tuple[str, ...], said:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", ["run", "comparison"])
 def test_a_run_begins_with_the_policies_of_another_and_trains_none(
     finished: tuple[RunFolder, Launcher],
     launch: Launch,
     tmp_path: Path,
     tiny_flags: tuple[str, ...],
-    place: str,
 ) -> None:
     source = finished[0]
-    if place == "comparison":  # where a seed's agents lie in a folder of its own
-        source = RunFolder(tmp_path / "compared" / "seeds" / "seed_00")
-        shutil.copytree(finished[0].root / "agents", source.root / "agents")
-        shutil.copy(finished[0].description, tmp_path / "compared" / "description.toml")
     other = ("--seed", "7", "--set", "dataset.name=hopper-3x1/random", "--from", str(source.root))
     launcher = launch("3agent_hopper", *tiny_flags, *other, "--out", "run")
     assert launcher.finish() == 0, launcher.text
@@ -195,9 +189,19 @@ def test_a_distance_that_was_fitted_otherwise_is_fitted_anew(
     tmp_path: Path,
     tiny_flags: tuple[str, ...],
 ) -> None:
-    other = ("--set", "dynamics.hidden=[16]", "--from", str(finished[0].root))
-    launcher = launch("3agent_hopper", *tiny_flags, *other, "--out", "run")
+    """The policies are a comparison's, where a seed's agents lie in a folder of its own."""
+    source = RunFolder(tmp_path / "compared" / "seeds" / "seed_00")
+    shutil.copytree(finished[0].root / "agents", source.root / "agents")
+    shutil.copy(finished[0].description, tmp_path / "compared" / "description.toml")
+    other = ("--set", "dynamics.hidden=[16]", "--set", "deployment.count=1")
+    launcher = launch(
+        *("3agent_hopper", *tiny_flags, *other, "--from", str(source.root), "--out", "run")
+    )
     assert launcher.finish() == 0, launcher.text
     assert "agent_0: dynamics" in launcher.text and "agent_0: offline" not in launcher.text
-    policies = json.loads(RunFolder(tmp_path / "run").evaluation(0).read_text())["policies"]
+    folder = RunFolder(tmp_path / "run")
+    policies = json.loads(folder.evaluation(0).read_text())["policies"]
     assert policies == json.loads(finished[0].evaluation(0).read_text())["policies"]
+    assert RunRecord.read(folder).origin == str(source.root)
+    assert json.loads(folder.results.read_text())["pi_0"] == str(source.root)
+    assert str(source.root) in folder.report.read_text()

@@ -167,6 +167,7 @@ def test_rewards_that_differ_are_noticed_in_the_data_and_in_a_deployment(
     name = f"own_{tmp_path.name}"  # no test before this one has made its data
     flags = ("navigation", "--set", f"env.id={name}:parallel_env", "--set", "dataset.name=random")
     flags = (*flags, *tiny_flags, "--set", "sampling.name=uniform")
+    flags = (*flags, "--set", "offline.updates=10", "--set", "deployment.count=1")
     best = (*flags, "--set", "deployment.keep=best")
 
     (tmp_path / f"{name}.py").write_text(OWN)

@@ -51,38 +51,43 @@ def test_a_run_ends_with_results_and_nothing_left(finished: tuple[RunFolder, Lau
     assert str(folder.report) in launcher.lines[-1]
 
 
-@pytest.mark.parametrize(
-    ("process", "phase", "deployment", "line"),
-    [
-        ("agent_1", "offline", 0, "agent_1: offline"),
-        ("host", "deployment", 1, "host: deployment 1"),
-        ("agent_0", "tuning", 1, "agent_0: tuning after deployment 1"),
-    ],
-)
-def test_ctrl_c_leaves_no_process_and_resume_ends_the_same(
-    process: str,
-    phase: str,
-    deployment: int,
-    line: str,
+def test_a_run_that_is_stopped_in_every_way_leaves_no_process_and_ends_the_same(
     finished: tuple[RunFolder, Launcher],
     launch: Launch,
     tmp_path: Path,
     tiny_flags: tuple[str, ...],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    hold = Hold(process, phase, deployment, tmp_path / "gate")
-    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
-    launcher.read_until(lambda told: told.startswith(line))
-    assert len(processes_of(tmp_path / "run")) == 4
-    launcher.process.send_signal(signal.SIGINT)
-    assert launcher.finish() == 130
-    assert processes_of(tmp_path / "run") == {}
+    """One after the other, each after a resume from the one before."""
     folder = RunFolder(tmp_path / "run")
-    assert RunRecord.read(folder).state == "stopped"
-    assert launcher.lines[-1].startswith(
-        "stopped by SIGINT; resume with: python -m otc_dist.launch"
-    )
-
-    resumed = launch("--resume", str(folder.root))
+    command = ["3agent_hopper", *tiny_flags, "--out", "run"]
+    moments = [
+        ("agent_0", "offline", 0, "agent_0: offline", signal.SIGTERM),
+        ("agent_0", "offline", 0, "agent_0: offline", signal.SIGINT),  # the others may be through
+        ("host", "deployment", 1, "host: deployment 1", signal.SIGINT),
+        ("agent_0", "tuning", 1, "agent_0: tuning after deployment 1", signal.SIGINT),
+        ("host", "deployment", 2, "host: deployment 2", signal.SIGKILL),
+    ]
+    for number, (process, phase, deployment, line, by) in enumerate(moments):
+        hold = Hold(process, phase, deployment, tmp_path / f"gate{number}")
+        launcher = launch(*command, hold=hold)
+        launcher.read_until(lambda told, line=line: told.startswith(line))
+        children = list(processes_of(folder.root).values())
+        assert len(children) == 4
+        launcher.process.send_signal(by)
+        if by == signal.SIGKILL:  # nobody is left to stop the others in order
+            wait_for_end(children)
+            launcher.finish()
+            assert status_of(folder.root, capsys)["state"] == "interrupted"
+        else:
+            assert launcher.finish() == 128 + by
+            assert processes_of(folder.root) == {}
+            assert RunRecord.read(folder).state == "stopped"
+            assert launcher.lines[-1].startswith(
+                f"stopped by {by.name}; resume with: python -m otc_dist.launch"
+            )
+        command = ["--resume", str(folder.root)]
+    resumed = launch(*command)
     assert resumed.finish() == 0, resumed.text
     same(folder, finished[0])
 
@@ -190,38 +195,6 @@ def test_a_killed_child_is_started_again_and_the_run_ends_the_same(
     assert processes_of(folder.root) == {}
     told = status_of(folder.root, capsys)
     assert (told["state"], told["supervision"]) == ("finished", None)
-
-
-def test_killing_the_launcher_leaves_no_orphan_and_a_run_to_go_on_with(
-    finished: tuple[RunFolder, Launcher],
-    launch: Launch,
-    tmp_path: Path,
-    tiny_flags: tuple[str, ...],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    hold = Hold("host", "deployment", 1, tmp_path / "gate")
-    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
-    launcher.read_until(lambda line: line.startswith("host: deployment 1"))
-    children = list(processes_of(tmp_path / "run").values())
-    assert len(children) == 4
-    launcher.process.kill()
-    wait_for_end(children)
-
-    assert status_of(tmp_path / "run", capsys)["state"] == "interrupted"
-    resumed = launch("--resume", str(tmp_path / "run"))
-    assert resumed.finish() == 0, resumed.text
-    same(RunFolder(tmp_path / "run"), finished[0])
-
-
-def test_sigterm_stops_like_ctrl_c(
-    launch: Launch, tmp_path: Path, tiny_flags: tuple[str, ...]
-) -> None:
-    hold = Hold("agent_0", "offline", 0, tmp_path / "gate")
-    launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
-    launcher.read_until(lambda line: line.startswith("agent_0: offline"))
-    launcher.process.terminate()
-    assert launcher.finish() == 128 + signal.SIGTERM
-    assert processes_of(tmp_path / "run") == {}
 
 
 def test_a_run_trains_from_what_another_one_deployed(
