@@ -61,7 +61,13 @@ def test_the_wheel_installs_nothing_but_otc_dist(wheel: Path) -> None:
     assert {top for top in tops if not top.endswith(".dist-info")} == {"otc_dist"}
     viewer = [f"replay/viewer/{part.name}" for part in (ROOT / "otc_dist/replay/viewer").iterdir()]
     layout = "replay/foxglove_layout.json"
-    for needed in ("launch/3agent_hopper.toml", "envs/models/hopper.xml", layout, *viewer):
+    for needed in (
+        "py.typed",
+        "launch/3agent_hopper.toml",
+        "envs/models/hopper.xml",
+        layout,
+        *viewer,
+    ):
         assert f"otc_dist/{needed}" in names
     snapshots = [name for name in names if name.startswith("otc_dist/datasets/snapshots/")]
     shipped = [p for p in (ROOT / "otc_dist/datasets/snapshots").rglob("*") if p.is_file()]

@@ -118,14 +118,14 @@ class Description(Section):
         return self
 
     @classmethod
-    def load(cls, path: Path, assignments: Iterable[str] = ()) -> Self:
+    def load(cls, path: str | Path, assignments: Iterable[str] = ()) -> Self:
         """Read a TOML file and apply `section.key=value` assignments.
 
         Raises:
             UserError: the file is missing, is no TOML, or holds an unknown key or a bad value.
         """
         try:
-            text = path.read_text(encoding="utf-8")
+            text = Path(path).read_text(encoding="utf-8")
         except OSError as error:
             raise UserError(f"cannot read the description {path}: {error.strerror}") from None
         except UnicodeDecodeError as error:
