@@ -49,7 +49,7 @@ from timing import (
     tuning,
 )
 
-from otc_dist.description.algorithms import BremenSection
+from otc_dist.algorithms.bremen import BremenSection
 from otc_dist.engine import Engine
 from otc_dist.envs import registry
 from otc_dist.errors import run_main, unknown

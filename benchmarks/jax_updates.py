@@ -12,14 +12,12 @@ import jax
 import jax.numpy as jnp
 from jax.nn import logsumexp, relu, sigmoid, softmax, softplus
 
-from otc_dist.description.algorithms import (
-    AlgorithmSection,
-    AwacSection,
-    BcqSection,
-    CqlSection,
-    DiscreteCqlSection,
-    Td3BcSection,
-)
+from otc_dist.algorithms.awac import AwacSection
+from otc_dist.algorithms.bcq import BcqSection
+from otc_dist.algorithms.cql import CqlSection
+from otc_dist.algorithms.discrete_cql import DiscreteCqlSection
+from otc_dist.algorithms.td3bc import Td3BcSection
+from otc_dist.description.algorithms import AlgorithmSection
 from otc_dist.spec import AgentSpec
 
 Tree = Any  # a nest of dictionaries, lists and arrays

@@ -9,12 +9,13 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from otc_dist.description import Description
 from otc_dist.description.algorithms import AlgorithmSection
+from otc_dist.description.kinds import ALGORITHMS
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 
@@ -111,8 +112,7 @@ def preparing(learner: "Learner", online: Transitions) -> Turn:
 
 def sections() -> dict[str, type[AlgorithmSection]]:
     """The description's section of every algorithm, by name."""
-    (union, *_) = get_args(AlgorithmSection)
-    return {section.model_fields["name"].default: section for section in get_args(union)}
+    return {name: ALGORITHMS.section(name) for name in ALGORITHMS}
 
 
 def describe(env_id: str, rounds: int, *assignments: str) -> Description:

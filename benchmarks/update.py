@@ -28,7 +28,7 @@ from timing import (
     tuning,
 )
 
-from otc_dist.description.algorithms import BcqSection
+from otc_dist.algorithms.bcq import BcqSection
 from otc_dist.envs import registry
 from otc_dist.errors import run_main
 from otc_dist.learner import Learner

@@ -8,6 +8,7 @@ from textwrap import fill
 from typing import Any
 
 from otc_dist import Description
+from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
 
 PAGE = Path(__file__).parent / "reference" / "settings.md"
 HEAD = """\
@@ -27,6 +28,7 @@ COMPARED = {
     "maximum": "≤",
     "exclusiveMaximum": "<",
 }
+KINDS = {"algorithm": ALGORITHMS, "sampling": STRATEGIES}  # one of several models, by a name in it
 NAMES = {"integer": "integer", "number": "number", "string": "text", "boolean": "true or false"}
 WIDTH = 100
 LARGEST = 2**31  # a bound from here on is that of a type, not of what makes sense
@@ -39,9 +41,9 @@ def page() -> str:
     own = {name: field for name, field in fields.items() if not _models(field)}
     parts = [HEAD, "## Before all sections\n", _table(own, schema.get("required", ()))]
     for name, field in fields.items():
-        several = len(_models(field)) > 1
-        for model in (models[found] for found in _models(field)):
-            named = f', `name = "{model["properties"]["name"]["const"]}"`' if several else ""
+        chosen = [KINDS[name].section(one).model_json_schema() for one in KINDS.get(name, ())]
+        for model in chosen or [models[found] for found in _models(field)]:
+            named = f', `name = "{model["properties"]["name"]["const"]}"`' if chosen else ""
             parts += [
                 f"## `[{name}]`{named}\n",
                 fill(model.get("description", "").split("\n\nAttributes:")[0], WIDTH) + "\n",
@@ -52,15 +54,16 @@ def page() -> str:
 
 def _models(field: dict[str, Any]) -> list[str]:
     """Names of the models that a section's field may be; none of a plain value."""
-    found = [field, *field.get("oneOf", ()), *field.get("allOf", ())]
+    found = [field, *field.get("allOf", ())]
     return [one["$ref"].rpartition("/")[2] for one in found if "$ref" in one]
 
 
 def _table(fields: dict[str, Any], required: Any) -> str:
     lines = ["| setting | value | default | meaning |", "| --- | --- | --- | --- |"]
-    for name, field in fields.items():
-        if "const" in field:  # stands in the heading
-            continue
+    told = {name: field for name, field in fields.items() if "const" not in field}  # in the heading
+    if not told:
+        return "It has no settings.\n"
+    for name, field in told.items():
         default = "required" if name in required else _shown(field.get("default"))
         meaning = " ".join(field.get("description", "").split()).replace("|", "\\|")
         lines.append(f"| `{name}` | {_kind(field)} | {default} | {meaning} |")

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from otc_dist import user_code
-from otc_dist.comparison import mechanism, runs
+from otc_dist.comparison import arms, mechanism, runs
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
 from otc_dist.errors import run_main
@@ -24,20 +24,27 @@ def main(argv: list[str]) -> int:
     torch.set_num_threads(1)
     path, seed, piece, *rest = argv
     folder = ComparisonFolder(Path(path))
-    base = Description.load(folder.description)
-    user_code.allow(*base.code)
+    base = Description.load(folder.description).trusted()
+    arms.trust(rest)
+    with user_code.answers_for(*base.parts, *(text.partition("=")[2] for text in rest)):
+        _do(folder, base, int(seed), piece, rest)
+    return 0
+
+
+def _do(
+    folder: ComparisonFolder, base: Description, seed: int, piece: str, rest: list[str]
+) -> None:
     if piece == "offline":
-        runs.train_offline(folder, base, int(seed), rest[0], Teller(), rest[1:])
+        runs.train_offline(folder, base, seed, rest[0], Teller(), rest[1:])
     elif piece == "pi_0":
-        runs.evaluate_offline(folder, base, int(seed), rest)
+        runs.evaluate_offline(folder, base, seed, rest)
     else:
         name, *assignments = rest
         if piece == "arm":
-            runs.run_arm(folder, base, int(seed), name, assignments, versions(), Teller())
+            runs.run_arm(folder, base, seed, name, assignments, versions(), Teller())
         else:
             analysed = base.with_assignments(*assignments)
-            mechanism.measure(folder, analysed, int(seed), name, Teller())
-    return 0
+            mechanism.measure(folder, analysed, seed, name, Teller())
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ def note_inputs(folder: ComparisonFolder, base: Description) -> None:
         UserError: it is not, or cannot be noted.
     """
     noted = records.read_json(dict[str, str], folder.inputs) if folder.inputs.exists() else {}
-    found, agents = inputs.sources(base), registry.team_spec(base.env.id).names
+    found, agents = inputs.sources(base) | inputs.code(base), registry.team_spec(base.env.id).names
     name, transitions = base.dataset.name, base.dataset.transitions
     if all(store.agent_file(name, agent, transitions).exists() for agent in agents):
         found |= inputs.data(base, agents)

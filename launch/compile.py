@@ -2,7 +2,7 @@
 
 They then load the code from the cache, instead of each compiling the same. What is compiled
 depends on the networks' and minibatches' sizes, so a learner with a little made-up data and a few
-updates asks for all of it. Only Balanced Replay's code depends on the size of the replay buffer.
+updates asks for all of it. Only the code of a few samplers depends on the size of the buffer.
 """
 
 import sys
@@ -11,9 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from otc_dist import user_code
 from otc_dist.description import Description
-from otc_dist.description.algorithms import BremenSection
 from otc_dist.envs import registry
 from otc_dist.errors import run_main
 from otc_dist.learner import Learner, Progress
@@ -31,8 +29,7 @@ def main(argv: list[str]) -> int:
 
     `argv`: the run folder, and the agents that learn on this machine (none: all).
     """
-    description = Description.load(RunFolder(Path(argv[0])).description)
-    user_code.allow(*description.code)
+    description = Description.load(RunFolder(Path(argv[0])).description).trusted()
     agents = {
         (agent.observation_size, agent.action_size): agent
         for agent in registry.team_spec(description.env.id).agents
@@ -52,10 +49,9 @@ def _exercise(description: Description, agent: AgentSpec) -> None:
         f"deployment.transitions={DEPLOYED}", "embedding.minimum_active=0",
         "dynamics.updates=1", "dynamics.correction_updates=1", "deployment.turns=false",
     )  # fmt: skip
-    if isinstance(short.algorithm, BremenSection):
-        short = short.with_assignments("algorithm.improvements=1")
+    short = short.with_assignments(*short.algorithm.brief)
     rows, deployment = ROWS, description.deployment
-    if description.sampling.name == "balanced":
+    if description.sampling.bound:
         online = deployment.count * deployment.transitions
         rows = description.dataset.transitions + online - DEPLOYED
     task = registry.task(description.env.id)

@@ -120,7 +120,7 @@ def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, 
             again now.
     """
     description, folder = plan.description, plan.folder
-    ledger.note_inputs(inputs.sources(description), description)
+    ledger.note_inputs(inputs.sources(description) | inputs.code(description), description)
     _do(plan, plan.preparations, supervisor, signals)
     ledger.note_inputs(inputs.data(description, plan.learners), description)
     if plan.place.role == "all":

@@ -23,7 +23,7 @@ def extend(folder: RunFolder, deployments: int) -> None:
         UserError: the run is one of several hosts; its description has changed; it cannot go on;
             or as many deployments are made already.
     """
-    record, description = RunRecord.read(folder), Description.load(folder.description)
+    record, description = RunRecord.read(folder), Description.load(folder.description).trusted()
     if record.place.role != "all":
         raise UserError(
             "--deployments extends a run whose processes are all on one machine; on several, begin"
@@ -52,10 +52,10 @@ def _check(folder: RunFolder, description: Description, deployments: int) -> Non
             f"{folder.root} cannot be extended: {description.env.id} changes in the course of the"
             " deployments, by how many there are"
         )
-    if description.sampling.name == "balanced":
+    if description.sampling.bound:
         raise UserError(
-            f"{folder.root} cannot be extended: sampling.name = 'balanced' keeps priorities for as"
-            " many transitions as it began with"
+            f"{folder.root} cannot be extended: sampling.name = {description.sampling.name!r} keeps"
+            " priorities for as many transitions as it began with"
         )
     logs = [k for k in range(1, settings.count + 1) if folder.deployment(k).exists()]
     if deployments <= len(logs):

@@ -9,23 +9,11 @@ import os
 from dataclasses import dataclass, replace
 
 from otc_dist.description import Description
-from otc_dist.description.algorithms import BremenSection
 from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
 from otc_dist.exploration import Schedule
 from otc_dist.spec import TeamSpec
 
-# Milliseconds of one core, compiled, at Table 3's sizes: benchmarks/algorithms.py and update.py.
-UPDATE = {
-    "bcq": 1.0,
-    "awac": 0.6,
-    "cql": 18.0,
-    "discrete-cql": 1.1,
-    "td3bc": 1.6,
-    "bremen": 3.8,
-}
-BALANCED = 0.4  # on top of an update, while tuning
-IMPROVEMENT = {"compiled": 150.0, "eager": 250.0, "cuda-graph": 150.0}  # BREMEN's; the last a guess
 ENGINES = {"compiled": 1.0, "eager": 4.0, "cuda-graph": 0.3}  # times as long
 ACT = 2.0  # one agent's answer for all copies, and the message both ways
 START_SECONDS = 6.0  # of all processes, up to their first sign of life
@@ -47,9 +35,9 @@ def offline(description: Description) -> float:
 
 def fit(description: Description) -> Part:
     """Seconds of one core for what one agent's distance fits to B_0; 0 where it fits nothing."""
-    sampling = description.sampling
-    facts = DISTANCES[sampling.distance]
-    if sampling.name != "otc" or facts.fits is None:
+    compared = description.sampling.compared
+    facts = DISTANCES[compared] if compared else None
+    if facts is None or facts.fits is None:
         return Part("offline", 0, 0.0)
     updates = {
         "embedding": description.embedding.updates,
@@ -70,15 +58,9 @@ def fits(description: Description) -> float:
 
 def tuning(description: Description) -> float:
     """Seconds of one core for one agent's tuning after one deployment."""
-    sampling, size = description.sampling, description.dataset.transitions
-    facts, selection, scoring = DISTANCES[sampling.distance], 0.0, 0.0
-    if sampling.name == "balanced":
-        selection = BALANCED
-    elif sampling.name == "otc":
-        within = sampling.acceptance == "rank" and sampling.matches_minibatches
-        selection = facts.selection if within else 0.0
-        scoring = 0.0 if within else facts.scoring * size / 1e6
-    return _trained(description, description.deployment.updates, selection) + scoring
+    cost, size = description.sampling.cost, description.dataset.transitions
+    trained = _trained(description, description.deployment.updates, cost.update)
+    return trained + cost.scoring * size / 1e6
 
 
 def acting(description: Description, team: TeamSpec) -> float:
@@ -94,10 +76,9 @@ def judging(description: Description, team: TeamSpec) -> float:
 
 
 def _trained(description: Description, updates: int, selection: float) -> float:
-    algorithm = description.algorithm
-    each = (UPDATE[algorithm.name] + selection) * ENGINES[description.engine.name]
-    improvements = algorithm.improvements if isinstance(algorithm, BremenSection) else 0
-    return (updates * each + improvements * IMPROVEMENT[description.engine.name]) / 1000
+    algorithm, engine = description.algorithm, description.engine.name
+    each = (algorithm.update + selection) * ENGINES[engine]
+    return (updates * each + algorithm.afterwards(engine)) / 1000
 
 
 def parts(description: Description, team: TeamSpec, here: int) -> list[Part]:

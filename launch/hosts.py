@@ -71,11 +71,12 @@ class Hosts(Section):
     def load(cls, path: Path, team: TeamSpec) -> Self:
         """Read a file. Raises UserError for one that is none, or not of this team."""
         try:
-            hosts = cls.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+            hosts = cls.model_validate(data)
         except OSError as error:
             raise UserError(f"cannot read {path}: {error.strerror}") from None
         except ValidationError as error:  # a ValueError as well, so before these
-            raise explain(cls, error.errors()[0], str(path)) from None
+            raise explain(cls, error.errors()[0], str(path), data) from None
         except (ValueError, RecursionError) as error:
             raise UserError(f"{path} is not valid TOML: {error}") from None
         for agent in hosts.learners:

@@ -41,6 +41,7 @@ def main(argv: list[str]) -> int:
         raise UserError(f"there is no folder {folder.root}; leave --checkpoints out to begin anew")
     if folder.description.exists():
         base = Description.load(folder.description)
+        user_code.require(*base.code)  # which those who measure run
         if base.name != started.name:
             raise UserError(f"{folder.root} is of {base.name}, not of {started.name}")
         analysed = base.with_assignments(*arguments.set)

@@ -128,8 +128,8 @@ class Plan:
         yield from (f"environment  {remark}" for remark in registry.remarks(d.env.id))
         begins = f"{d.offline.updates:,} offline updates to pi_0"
         yield f"work         {'pi_0 of another run' if d.offline.policies else begins}"
-        if forecast.fit(d).seconds:
-            facts = DISTANCES[d.sampling.distance]
+        if forecast.fit(d).seconds and (compared := d.sampling.compared):
+            facts = DISTANCES[compared]
             yield f"             and what {facts.title} fits to B_0 ({facts.fits})"
         rounds = Schedule.of(d, len(self.spec.agents)).rounds
         cost = f" an agent, who explore in turn: x {rounds}" if rounds > 1 else ""

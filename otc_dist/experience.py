@@ -5,8 +5,9 @@ from torch import Tensor
 
 from otc_dist.action_scale import ActionScale
 from otc_dist.folds import folds
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Features
-from otc_dist.otc.samplers import Data, Extent
+from otc_dist.otc.samplers import Extent
 from otc_dist.transitions import ReplayBuffer, RowLayout, Transitions
 
 

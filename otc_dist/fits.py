@@ -7,7 +7,6 @@ import numpy as np
 from otc_dist import checkpoint
 from otc_dist.algorithms.draws import to_tensors
 from otc_dist.algorithms.interface import State
-from otc_dist.description import Description
 from otc_dist.engine import Engine
 from otc_dist.experience import Experience
 from otc_dist.otc.distances import create_features
@@ -28,7 +27,7 @@ class Fits:
 
     def __init__(self, setting: Setting, engine: Engine, further: Iterable[str] = ()) -> None:
         self._engine = engine
-        compared = compared_by(setting.description)
+        compared = setting.description.sampling.compared
         first = ("typical",) if setting.description.offline.rows == "typical" else ()
         self._fits: dict[str, Features] = {}  # by distance
         for distance in (*first, *([compared] if compared else []), *further):
@@ -102,8 +101,3 @@ class Fits:
 
 def _untold(name: str, done: int, of: int, metrics: dict[str, float]) -> None:
     pass
-
-
-def compared_by(description: Description) -> str | None:
-    """The distance that the described sampler uses; None: it uses none."""
-    return description.sampling.distance if description.sampling.name == "otc" else None

@@ -5,14 +5,18 @@ run.json holds them under `inputs`, by names that `sources` and `data` give.
 
 from collections.abc import Iterable, Mapping
 
+from otc_dist import user_code
 from otc_dist.datasets import store
 from otc_dist.datasets.card import file_sha256
 from otc_dist.description import Description
-from otc_dist.envs import registry
+from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
+from otc_dist.envs import own_sources, registry
 from otc_dist.errors import UserError
+from otc_dist.names import is_code
 
 Digests = Mapping[str, str]  # name of an input -> its SHA-256
 _SOURCE = "source "
+_CODE = "code of "
 
 
 def sources(description: Description) -> dict[str, str]:
@@ -23,6 +27,22 @@ def sources(description: Description) -> dict[str, str]:
     """
     found = registry.sources(description.env.id)
     return {f"{_SOURCE}{path}": digest for path, digest in found.items()}
+
+
+def code(description: Description) -> dict[str, str]:
+    """The files of an algorithm and of a sampling strategy of the user's own.
+
+    Raises:
+        UserError: one cannot be loaded.
+    """
+    found: dict[str, str] = {}
+    for kind, section in ((ALGORITHMS, description.algorithm), (STRATEGIES, description.sampling)):
+        if is_code(reference := section.name):
+            kind.find(reference)
+            loaded = user_code.brought(reference)
+            files = own_sources.digests(reference.partition(":")[0], loaded)
+            found |= {f"{_CODE}{reference}: {path}": digest for path, digest in files.items()}
+    return found
 
 
 def data(description: Description, agents: Iterable[str]) -> dict[str, str]:
@@ -54,6 +74,12 @@ def check(noted: Digests, found: Digests, description: Description) -> None:
             raise UserError(
                 f"{name.removeprefix(_SOURCE)}, which {description.env.id} loads, is another than"
                 " when the run began: restore it, or start a new run"
+            )
+        if name.startswith(_CODE):
+            reference, _, path = name.removeprefix(_CODE).rpartition(": ")
+            raise UserError(
+                f"{path}, of {reference}, is another than when the run began: restore it, or start"
+                " a new run"
             )
         raise UserError(
             f"the {name} ({description.dataset.name}) are others than when the run began: import"

@@ -13,7 +13,8 @@ from otc_dist.algorithms.draws import Draw, Draws, draw
 from otc_dist.algorithms.interface import Algorithm, Improving, State, unpack
 from otc_dist.engine import Engine, Update
 from otc_dist.errors import UserError
-from otc_dist.otc.samplers import Data, Extent, Sampler
+from otc_dist.otc.data import Data
+from otc_dist.otc.samplers import Extent, Sampler
 from otc_dist.training import BLOCK, DrawBlock, train
 from otc_dist.transitions import RowLayout
 

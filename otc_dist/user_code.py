@@ -1,4 +1,5 @@
-"""Code of the user's own, named `module:function`: imported only where the user allowed it by name.
+"""Code of the user's own, named `module:function`, or `module:Class`: imported only where the user
+allowed it by name.
 
 A log, a data set or a run folder can name such code, and may come from somebody else. To read one
 must never run what it names. So nothing is imported but what `allow` was told of in this process:
@@ -8,12 +9,20 @@ by a description that is run, by a name on the command line, by `--allow module:
 
 import argparse
 import importlib
-from collections.abc import Callable, Iterable
+import sys
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 from otc_dist.errors import UserError
 from otc_dist.names import is_code
 
+_OURS = Path(__file__).parent
+_INSTALLED = tuple({Path(path) for path in sysconfig.get_paths().values()})
 _allowed: set[str] = set()
+_brought: dict[str, frozenset[str]] = {}
 
 
 def allow(*references: str) -> None:
@@ -26,6 +35,11 @@ def allow_all(references: str | Iterable[str]) -> None:
     allow(*((references,) if isinstance(references, str) else references))
 
 
+def allowed(reference: str) -> bool:
+    """Whether this process may import that."""
+    return reference in _allowed
+
+
 def require(*references: str) -> None:
     """Raises UserError, which says how to allow it, if one of these is code and not allowed."""
     for reference in filter(is_code, references):
@@ -36,17 +50,66 @@ def require(*references: str) -> None:
             )
 
 
-def found(reference: str) -> Callable[[], object]:
-    """The function that `module:function` names.
+def found(reference: str) -> Callable[..., object]:
+    """The function, or the class, that `module:function` names.
 
     Raises:
-        UserError: it is not allowed; nothing was imported.
+        UserError: it is not allowed, and nothing was imported; or there is no such module.
         Exception: whatever the import raises.
     """
     require(reference)
     module, _, function = reference.partition(":")
-    named: Callable[[], object] = getattr(importlib.import_module(module), function)
+    before = frozenset(sys.modules)
+    try:
+        named: Callable[..., object] = getattr(importlib.import_module(module), function)
+    except ModuleNotFoundError as error:
+        raise UserError(
+            f"{reference}: there is no module {error.name}; start from the folder that holds it, or"
+            " install it"
+        ) from None
+    _brought.setdefault(reference, frozenset(sys.modules) - before)
     return named
+
+
+def brought(reference: str) -> frozenset[str]:
+    """The modules that were loaded when it was first found in this process."""
+    return _brought[reference]
+
+
+def described(error: BaseException) -> str:
+    """The exception's type and message, and the place in the user's code that raised it."""
+    said = " ".join(str(error).split())
+    text = f"{type(error).__name__}: {said}" if said else type(error).__name__
+    # What is below the user's last line are packages that it called.
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith("<") and not Path(frame.filename).is_relative_to(_OURS)
+    ]
+    own = [
+        frame
+        for frame in frames
+        if not any(Path(frame.filename).is_relative_to(folder) for folder in _INSTALLED)
+    ]
+    place = (own or frames)[-1:]
+    return f"{text} ({place[0].filename}:{place[0].lineno})" if place else text
+
+
+@contextmanager
+def answers_for(*references: str, but: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+    """Turn what is raised into a UserError that says where, if one of these is code: a mistake of
+    the user's own then, and of ours if none is.
+
+    Args:
+        but: exceptions that tell of something else.
+    """
+    named = " or ".join(filter(is_code, references))
+    try:
+        yield
+    except Exception as error:  # whatever the user's code raises
+        if not named or isinstance(error, (UserError, OSError, *but)):
+            raise
+        raise UserError(f"{named} failed: {described(error)}") from error
 
 
 def add_flag(parser: argparse.ArgumentParser) -> None:
@@ -57,8 +120,8 @@ def add_flag(parser: argparse.ArgumentParser) -> None:
         default=[],
         type=_reference,
         metavar="MODULE:FUNCTION",
-        help="run this code if a file names it, as the environment it was played in; may be given"
-        " again",
+        help="run this code if a file names it, as the environment it was played in or an algorithm"
+        " of its own; may be given again",
     )
 
 

@@ -8,7 +8,7 @@ or, after a restart, asks of the env host's log.
 import logging
 from typing import TYPE_CHECKING
 
-from otc_dist import inputs
+from otc_dist import inputs, user_code
 from otc_dist.bus.handshake import agree
 from otc_dist.bus.history import History
 from otc_dist.bus.lockstep import GaveUpError, LearnerLockstep
@@ -24,7 +24,7 @@ from otc_dist.spec import AgentSpec
 from .gathering import Gathering
 from .judge import Judge
 from .metrics import MetricsFile
-from .process import Run, check_endpoints, door_at, parser, patience, serve
+from .process import FailureError, Run, check_endpoints, door_at, parser, patience, serve
 
 if TYPE_CHECKING:
     from otc_dist.learner import Learner, Progress
@@ -116,7 +116,7 @@ class LearnerService:
         data = store.load_agent(path, agent.name)
         team = self._run.team
         place = (team.index(agent.name), len(team.agents))
-        return Learner(self._run.description, agent, data, self._task, place)
+        return Learner(self._run.description.trusted(), agent, data, self._task, place)
 
     def _pretrain(self) -> None:
         offline = self._folder.offline_checkpoint(self._name)
@@ -286,7 +286,7 @@ def main() -> None:
         if arguments.agent not in run.team.names:
             raise unknown("agent", arguments.agent, run.team.names)
         agent = run.team.agents[run.team.index(arguments.agent)]
-        run.check(inputs.data(run.description, [agent.name]))
+        run.check(inputs.data(run.description, [agent.name]) | inputs.code(run.description))
         there = arguments.connect
         door = door_at(there, agent.name, arguments) if there else run.local_door
         deadline = patience(run, arguments)
@@ -298,9 +298,11 @@ def main() -> None:
             waiting = Status(agent.name, "waiting")
             with Heartbeat(session, run.keys, agent.name, rejections, lambda: waiting):
                 agree(session, run.keys, run.spec, deadline, rejections, shared=router)
-            service = LearnerService(run, agent, session, rejections)
-            with service.heartbeat:
-                service.serve()
+            told = (FailureError, GaveUpError)
+            with user_code.answers_for(*run.description.parts, but=told):
+                service = LearnerService(run, agent, session, rejections)
+                with service.heartbeat:
+                    service.serve()
 
     serve(body)
 

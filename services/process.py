@@ -75,7 +75,7 @@ class Run:
         """
         folder = RunFolder(root.resolve())
         description = Description.load(folder.description)
-        user_code.allow(*description.code)
+        user_code.allow(*description.code)  # what of it this process needs is loaded there
         try:
             record = records.read_json(_Record, folder.run_json)
         except FileNotFoundError:

@@ -111,8 +111,8 @@ def test_every_arm_tunes_the_same_offline_policy(tmp_path: Path) -> None:
         assert own.policy_digest() == uniform.policy_digest(), arm
         taken = brain(*assignments)
         taken.load(tmp_path / "shared")
-        sampling = taken.description.sampling
-        fits = DISTANCES[sampling.distance].fits if sampling.name == "otc" else None
+        compared = taken.description.sampling.compared
+        fits = DISTANCES[compared].fits if compared else None
         assert taken.tuned == (-1 if fits else 0)  # what its distance fits is missing
         phases = []
         taken.pretrain(lambda progress, seen=phases: seen.append(progress.phase), unsaved)

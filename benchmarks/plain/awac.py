@@ -7,7 +7,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 from torch.nn.functional import mse_loss
 
-from otc_dist.description.algorithms import AwacSection
+from otc_dist.algorithms.awac import AwacSection
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
-from otc_dist.description.algorithms import BcqSection
+from otc_dist.algorithms.bcq import BcqSection
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 

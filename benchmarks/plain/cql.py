@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 from torch.nn.functional import mse_loss
 
-from otc_dist.description.algorithms import CqlSection
+from otc_dist.algorithms.cql import CqlSection
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 

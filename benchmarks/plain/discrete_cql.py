@@ -5,7 +5,7 @@ from copy import deepcopy
 import torch
 from torch.nn.functional import smooth_l1_loss
 
-from otc_dist.description.algorithms import DiscreteCqlSection
+from otc_dist.algorithms.discrete_cql import DiscreteCqlSection
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 

@@ -5,7 +5,7 @@ from copy import deepcopy
 import torch
 from torch.nn.functional import mse_loss
 
-from otc_dist.description.algorithms import Td3BcSection
+from otc_dist.algorithms.td3bc import Td3BcSection
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 

@@ -1,16 +1,21 @@
 """What actions in a rollout are worth: a value function, and advantages over it."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw
 from otc_dist.algorithms.interface import Batch, Fuse, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 HIDDEN = (64, 64)
 LEARNING_RATE = 1e-3

@@ -6,42 +6,62 @@ takes a softmax of the advantages over the minibatch, CORL's their clamped expon
 comes also that networks see standardised states.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-import torch
-from torch import Tensor
+from pydantic import Field
 
 from otc_dist.algorithms.critics import StandardisedActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.gaussian import log_density
 from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.description.algorithms import AlgorithmSection, SmallSection
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 LOG_STD_RANGE = (-6.0, 0.0)  # the authors', for actions in [-1, 1]
 LARGEST_WEIGHT = 100.0  # CORL's bound on exp(A / temperature)
 
 
-@dataclass(frozen=True)
-class Awac(StandardisedActorCritic):
-    """AWAC for one agent with continuous actions in [-1, 1].
-
-    Attributes:
-        weighting: how advantages become weights, see `weights`.
-        temperature: of the advantages (the authors' beta, CORL's lambda).
+class AwacSection(SmallSection):
+    """AWAC. What Table 3 leaves open is as in its authors' code, but for the temperature, and that
+    states are standardised, as in CORL.
     """
 
-    weighting: Literal["softmax", "exponential"]
-    temperature: float
+    update: ClassVar[float] = 0.6
+
+    name: Literal["awac"] = "awac"
+    actor_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
+    critic_learning_rate: float = Field(default=5e-4, gt=0, description="Table 3")
+    weighting: Literal["softmax", "exponential"] = Field(
+        default="softmax", description="softmax over the minibatch (rlkit) or exp up to 100 (CORL)"
+    )
+    temperature: float = Field(
+        default=10.0, gt=0, description="of the advantages, in units of Q (rlkit: 2, CORL: 1)"
+    )
+
+
+@dataclass(frozen=True)
+class Awac(StandardisedActorCritic):
+    """AWAC for one agent with continuous actions in [-1, 1]."""
+
+    Section: ClassVar[type[AlgorithmSection]] = AwacSection
+
+    settings: AwacSection
 
     metric_names: tuple[str, ...] = ("critic_loss", "actor_loss", "q")
 
     @cached_property
     def actor(self) -> Mlp:
-        return Mlp((self.observation_size,), self.hidden, self.action_size)
+        return Mlp((self.observation_size,), self.settings.hidden, self.action_size)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """Networks critic, with a target, and actor: its mean's network, then its log-std logits.
@@ -75,11 +95,12 @@ class Awac(StandardisedActorCritic):
         new, actor_loss = descend(
             new,
             "actor",
-            self.actor_learning_rate,
+            self.settings.actor_learning_rate,
             lambda actor: self.actor_loss(actor, imitated, weights),
         )
 
-        new["critic_target"] = polyak(state["critic_target"], new["critic"], self.target_rate)
+        rate = self.settings.target_rate
+        new["critic_target"] = polyak(state["critic_target"], new["critic"], rate)
         return new, torch.stack((critic_loss, actor_loss, target.mean()))
 
     def target(self, state: State, batch: Batch, noise: Tensor) -> Tensor:
@@ -87,7 +108,7 @@ class Awac(StandardisedActorCritic):
         s = batch.next_observation
         actions = self.sample(state["actor"], s, noise)
         return td_target(
-            batch, self.discount, self.critics.minimum(state["critic_target"], s, actions)
+            batch, self.settings.discount, self.critics.minimum(state["critic_target"], s, actions)
         )
 
     def advantages(self, state: State, batch: Batch, noise: Tensor) -> Tensor:
@@ -102,8 +123,8 @@ class Awac(StandardisedActorCritic):
 
         "softmax": B softmax(A / T), whose mean is 1; "exponential": min(exp(A / T), 100).
         """
-        scaled = advantages / self.temperature
-        if self.weighting == "softmax":
+        scaled = advantages / self.settings.temperature
+        if self.settings.weighting == "softmax":
             return len(scaled) * scaled.softmax(0)
         return scaled.exp().clamp(max=LARGEST_WEIGHT)
 

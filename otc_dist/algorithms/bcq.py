@@ -5,41 +5,57 @@ little; twin critics choose among them. Constants follow the authors' code where
 OTC paper is silent.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.nn.functional import mse_loss
+from pydantic import Field
 
 from otc_dist.algorithms.critics import ActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.description.algorithms import AlgorithmSection, SmallSection
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 LATENT_CLIP = 0.5  # decoded actions use z ~ N(0, 1) clipped to +-0.5
 LOG_STD_RANGE = (-4.0, 15.0)
 KL_WEIGHT = 0.5
 
 
+class BcqSection(SmallSection):
+    """BCQ. What Table 3 leaves open is as in its authors' code."""
+
+    update: ClassVar[float] = 1.0
+
+    name: Literal["bcq"] = "bcq"
+    actor_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
+    critic_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
+    vae_learning_rate: float = Field(
+        default=1e-3, gt=0, description="not in Table 3: BCQ's own code"
+    )
+    target_candidates: int = Field(default=10, ge=1, description="actions decoded for a target")
+    acting_candidates: int = Field(default=100, ge=1, description="actions decoded to act")
+    perturbation: float = Field(default=0.05, ge=0, description="phi, in units of the action bound")
+    soft_minimum: float = Field(
+        default=0.75, ge=0, le=1, description="weight of min in 0.75 min + 0.25 max"
+    )
+
+
 @dataclass(frozen=True)
 class Bcq(ActorCritic):
-    """BCQ for one agent with continuous actions in [-1, 1].
+    """BCQ for one agent with continuous actions in [-1, 1]."""
 
-    Attributes:
-        vae_learning_rate: not in Table 3 but in BCQ's own code.
-        target_candidates: actions decoded for the target; acting_candidates: to act.
-        perturbation: phi, the largest change the actor makes to a decoded action.
-        soft_minimum: lambda in  lambda min_j Q_j + (1 - lambda) max_j Q_j.
-    """
+    Section: ClassVar[type[AlgorithmSection]] = BcqSection
 
-    vae_learning_rate: float
-    target_candidates: int
-    acting_candidates: int
-    perturbation: float
-    soft_minimum: float
+    settings: BcqSection
 
     metric_names: tuple[str, ...] = ("vae_loss", "critic_loss", "actor_loss", "q")
 
@@ -50,15 +66,17 @@ class Bcq(ActorCritic):
     @cached_property
     def encoder(self) -> Mlp:
         inputs = (self.observation_size, self.action_size)
-        return Mlp(inputs, self.hidden, 2 * self.latent_size)
+        return Mlp(inputs, self.settings.hidden, 2 * self.latent_size)
 
     @cached_property
     def decoder(self) -> Mlp:
-        return Mlp((self.observation_size, self.latent_size), self.hidden, self.action_size)
+        inputs = (self.observation_size, self.latent_size)
+        return Mlp(inputs, self.settings.hidden, self.action_size)
 
     @cached_property
     def actor(self) -> Mlp:
-        return Mlp((self.observation_size, self.action_size), self.hidden, self.action_size)
+        inputs = (self.observation_size, self.action_size)
+        return Mlp(inputs, self.settings.hidden, self.action_size)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """Networks vae (encoder then decoder), critic and actor, the last two with targets."""
@@ -68,7 +86,7 @@ class Bcq(ActorCritic):
         return fresh_state(networks, targets=("critic", "actor"))
 
     def noise(self, batch_size: int) -> Mapping[str, Draw]:
-        latent, candidates = self.latent_size, self.target_candidates
+        latent, candidates = self.latent_size, self.settings.target_candidates
         return {
             "vae": Draw("normal", (batch_size, latent)),
             "target": Draw("normal", (batch_size, candidates, latent)),
@@ -89,7 +107,7 @@ class Bcq(ActorCritic):
         new, vae_loss = descend(
             new,
             "vae",
-            self.vae_learning_rate,
+            self.settings.vae_learning_rate,
             lambda vae: self.vae_loss(vae, imitated, noise["vae"]),
         )
 
@@ -100,12 +118,13 @@ class Bcq(ActorCritic):
         new, actor_loss = descend(
             new,
             "actor",
-            self.actor_learning_rate,
+            self.settings.actor_learning_rate,
             lambda actor: self.actor_loss(actor, new["critic"], batch.observation, decoded),
         )
 
-        new["critic_target"] = polyak(state["critic_target"], new["critic"], self.target_rate)
-        new["actor_target"] = polyak(state["actor_target"], new["actor"], self.target_rate)
+        rate = self.settings.target_rate
+        new["critic_target"] = polyak(state["critic_target"], new["critic"], rate)
+        new["actor_target"] = polyak(state["actor_target"], new["actor"], rate)
         return new, torch.stack((vae_loss, critic_loss, actor_loss, target.mean()))
 
     def vae_loss(self, vae: Tensor, batch: Batch, noise: Tensor) -> Tensor:
@@ -117,7 +136,7 @@ class Bcq(ActorCritic):
         std = log_std.exp()
         decoded = self._decode(decoder, batch.observation, mean + std * noise)
         divergence = -0.5 * (1 + 2 * log_std - mean**2 - std**2).mean()
-        return mse_loss(decoded, batch.action) + KL_WEIGHT * divergence
+        return torch.nn.functional.mse_loss(decoded, batch.action) + KL_WEIGHT * divergence
 
     def target(self, state: State, batch: Batch, noise: Tensor) -> Tensor:
         """y = r + gamma max_{a'} [lambda min_j Q'_j(s', a') + (1 - lambda) max_j Q'_j(s', a')].
@@ -128,8 +147,9 @@ class Bcq(ActorCritic):
         s = batch.next_observation.unsqueeze(1)
         actions = self.perturb(state["actor_target"], s, self.decode(state["vae"], s, noise))
         q = self.critics.both(state["critic_target"], s, actions)
-        mixed = self.soft_minimum * q.amin(0) + (1 - self.soft_minimum) * q.amax(0)
-        return td_target(batch, self.discount, mixed.amax(-1))
+        soft = self.settings.soft_minimum
+        mixed = soft * q.amin(0) + (1 - soft) * q.amax(0)
+        return td_target(batch, self.settings.discount, mixed.amax(-1))
 
     def actor_loss(
         self, actor: Tensor, critic: Tensor, observations: Tensor, decoded: Tensor
@@ -151,12 +171,12 @@ class Bcq(ActorCritic):
         return self.decoder.apply(decoder, observations, latent).tanh()
 
     def perturb(self, actor: Tensor, observations: Tensor, actions: Tensor) -> Tensor:
-        """clip(a + phi tanh(xi(s, a)))."""
-        change = self.perturbation * self.actor.apply(actor, observations, actions).tanh()
+        """clip(a + phi tanh(xi(s, a))), phi the perturbation."""
+        change = self.settings.perturbation * self.actor.apply(actor, observations, actions).tanh()
         return (actions + change).clamp(-1, 1)
 
     def acting_noise(self, copies: int) -> Mapping[str, Draw]:
-        return {"act": Draw("normal", (copies, self.acting_candidates, self.latent_size))}
+        return {"act": Draw("normal", (copies, self.settings.acting_candidates, self.latent_size))}
 
     def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
         """The best by Q_1 of `acting_candidates` decoded and perturbed actions."""

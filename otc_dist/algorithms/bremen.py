@@ -9,15 +9,15 @@ Rewards and ends of episodes in the rollouts are the task's, not learned, as in 
 docs/method.md tells where this differs from that code, and why.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.nn.functional import mse_loss
+from pydantic import Field
 
 from otc_dist.algorithms.advantages import ValueFunction, generalised_advantages
 from otc_dist.algorithms.draws import Draw, Draws
@@ -25,8 +25,14 @@ from otc_dist.algorithms.dynamics import STATISTICS, Ensemble, normalised_observ
 from otc_dist.algorithms.interface import Batch, Fuse, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state
 from otc_dist.algorithms.policy_step import PolicyStep
+from otc_dist.description.algorithms import AlgorithmSection, LargeSection
+from otc_dist.lazy import torch
 from otc_dist.spec import Task
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+IMPROVEMENT = {"compiled": 150.0, "eager": 250.0, "cuda-graph": 150.0}  # ms; the last a guess
 AVERAGED_SHARE = 0.1  # of the updates made: the longest that weights are averaged over
 
 
@@ -40,6 +46,35 @@ class Rollouts(NamedTuple):
     last: Tensor  # (B, s), the states after the last step
 
 
+class BremenSection(LargeSection):
+    """BREMEN. It has no Q, hence no d_q. docs/method.md compares it with its authors' code."""
+
+    has_q: ClassVar[bool] = False
+    plans: ClassVar[bool] = True
+    update: ClassVar[float] = 3.8
+    brief: ClassVar[tuple[str, ...]] = ("algorithm.improvements=1",)
+
+    name: Literal["bremen"] = "bremen"
+    actor_learning_rate: float = Field(default=1e-4, gt=0, description="of the clone")
+    model_learning_rate: float = Field(default=5e-4, gt=0, description="Table 3's of the critic")
+    average_rate: float = Field(
+        default=1e-3, gt=0, le=1, description="of the averages of the models' and clone's weights"
+    )
+    models: int = Field(default=5, ge=1, description="dynamics models in the ensemble")
+    improvements: int = Field(
+        default=50, ge=0, description="trust-region steps after each phase's updates"
+    )
+    horizon: int = Field(default=100, ge=1, description="steps of a rollout in the models")
+    std: float = Field(default=0.1, gt=0, description="of the policy in rollouts")
+    trace: float = Field(default=0.95, ge=0, le=1, description="lambda of the advantages (GAE)")
+    radius: float = Field(
+        default=0.01, gt=0, description="largest mean KL divergence of one step, nats"
+    )
+
+    def afterwards(self, engine: str) -> float:
+        return self.improvements * IMPROVEMENT[engine]
+
+
 @dataclass(frozen=True)
 class Bremen:
     """BREMEN for one agent with continuous actions in [-1, 1].
@@ -48,34 +83,16 @@ class Bremen:
     policy's start use averages of the models' and the clone's weights.
 
     Attributes:
-        task: rewards and ends of the rollouts.
         observation_size, action_size: the agent's own.
-        hidden: hidden layers of policy, clone and models.
-        actor_learning_rate: Table 3; the clone's, since TRPO has none.
-        model_learning_rate: Table 3's critic's; BREMEN has no critic, but models.
-        average_rate: by which averages follow the weights, at the least.
-        models: size of the ensemble.
-        improvements: trust-region steps after a phase's updates.
-        horizon: H, steps of a rollout.
-        std: of the policy in the rollouts; never learned.
-        trace: lambda of the advantage estimate.
-        radius: delta, the largest mean KL divergence of a step, nats.
+        task: rewards and ends of the rollouts.
     """
 
-    task: Task
+    Section: ClassVar[type[AlgorithmSection]] = BremenSection
+
     observation_size: int
     action_size: int
-    hidden: tuple[int, ...]
-    actor_learning_rate: float
-    model_learning_rate: float
-    average_rate: float
-    discount: float
-    models: int
-    improvements: int
-    horizon: int
-    std: float
-    trace: float
-    radius: float
+    settings: BremenSection
+    task: Task
 
     metric_names: tuple[str, ...] = ("model_loss", "clone_loss")
     improvement_metric_names: tuple[str, ...] = (
@@ -89,19 +106,20 @@ class Bremen:
 
     @cached_property
     def ensemble(self) -> Ensemble:
-        return Ensemble(self.observation_size, self.action_size, self.hidden, self.models)
+        hidden, models = self.settings.hidden, self.settings.models
+        return Ensemble(self.observation_size, self.action_size, hidden, models)
 
     @cached_property
     def actor(self) -> Mlp:
-        return Mlp((self.observation_size,), self.hidden, self.action_size)
+        return Mlp((self.observation_size,), self.settings.hidden, self.action_size)
 
     @cached_property
     def policy_step(self) -> PolicyStep:
-        return PolicyStep(self.actor, self.std, self.radius)
+        return PolicyStep(self.actor, self.settings.std, self.settings.radius)
 
     @cached_property
     def value_function(self) -> ValueFunction:
-        return ValueFunction(self.observation_size, self.discount)
+        return ValueFunction(self.observation_size, self.settings.discount)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """Fresh networks; what else there is does not depend on chance.
@@ -137,23 +155,23 @@ class Bremen:
         state, model_loss = descend(
             state,
             "models",
-            self.model_learning_rate,
+            self.settings.model_learning_rate,
             lambda models: self.ensemble.loss(models, state, batch),
         )
         state, clone_loss = descend(
             state,
             "clone",
-            self.actor_learning_rate,
+            self.settings.actor_learning_rate,
             lambda clone: self.clone_loss(clone, state, imitated),
         )
         for name in ("models", "clone"):
             state[f"{name}_average"] = self.average(state, name)
-        return state, torch.stack((model_loss / self.models, clone_loss))
+        return state, torch.stack((model_loss / self.settings.models, clone_loss))
 
     def clone_loss(self, clone: Tensor, state: State, batch: Batch) -> Tensor:
         """mean (a - tanh f(s))^2, which is the negative log likelihood up to constants."""
         observations = normalised_observations(state, batch.observation)
-        return mse_loss(self.mean(clone, observations), batch.action)
+        return torch.nn.functional.mse_loss(self.mean(clone, observations), batch.action)
 
     def average(self, state: State, name: str) -> Tensor:
         """Exponential moving average of a network's weights (n,), after an update.
@@ -162,7 +180,7 @@ class Bremen:
         AVERAGED_SHARE of all.
         """
         count = state["updates"]
-        weight = (1 / (1 + AVERAGED_SHARE * (count - 1))).clamp(min=self.average_rate)
+        weight = (1 / (1 + AVERAGED_SHARE * (count - 1))).clamp(min=self.settings.average_rate)
         return torch.lerp(state[f"{name}_average"], state[name], weight.to(state[name].dtype))
 
     def mean(self, actor: Tensor, normalised: Tensor) -> Tensor:
@@ -176,15 +194,19 @@ class Bremen:
     def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
         return self.mean(state["policy"], normalised_observations(state, observations))
 
+    @property
+    def improvements(self) -> int:
+        return self.settings.improvements
+
     def begin_improvement(self, state: State) -> State:
         """The policy starts from the clone; the value function goes on from where it was."""
         return dict(state, policy=state["clone_average"])
 
     def improvement_noise(self, batch_size: int) -> Mapping[str, Draw]:
-        steps = (self.horizon, batch_size)
+        steps = (self.settings.horizon, batch_size)
         return {
             "action": Draw("normal", (*steps, self.action_size)),
-            "model": Draw("uniform", (self.horizon,)),
+            "model": Draw("uniform", (self.settings.horizon,)),
             "restart": Draw("uniform", steps),
             "value": self.value_function.noise(),
         }
@@ -194,12 +216,12 @@ class Bremen:
 
         The order is BREMEN's: the value function has not seen the rollouts that it judges.
         """
-        rollouts = self.rollouts(fuse, state, batch, noise)
+        settings, rollouts = self.settings, self.rollouts(fuse, state, batch, noise)
         visited = torch.cat((rollouts.observations, rollouts.last.unsqueeze(0)))
         normalised = normalised_observations(state, visited)
         values = self.value_function.values(state, normalised)
         advantages = generalised_advantages(
-            rollouts.rewards, rollouts.ends, values, self.discount, self.trace
+            rollouts.rewards, rollouts.ends, values, settings.discount, settings.trace
         )
         observations = normalised[:-1].flatten(0, 1)
         step = self.policy_step(
@@ -228,13 +250,13 @@ class Bremen:
         episode ends, another starts from a random state of the batch.
         """
         models = self.ensemble.network.apart(state["models_average"])
-        which = (noise["model"] * self.models).long().tolist()
+        which = (noise["model"] * self.settings.models).long().tolist()
         restarts = (noise["restart"] * len(batch.observation)).long()
         known = {name: state[name] for name in ("policy", *STATISTICS)}
         # Contiguous, as all that follow, or `move` would be compiled once more for the first.
         move, observation = fuse(self.move), batch.observation.contiguous()
         steps = []
-        for t in range(self.horizon):
+        for t in range(self.settings.horizon):
             start = batch.observation[restarts[t]]
             model = models[which[t]]
             *moved, following = move(known, model, observation, noise["action"][t], start)
@@ -252,7 +274,7 @@ class Bremen:
             start: (B, s), where those that end begin again.
         """
         mean = self.mean(known["policy"], normalised_observations(known, observation))
-        drawn = mean + self.std * noise
+        drawn = mean + self.settings.std * noise
         action = drawn.clamp(-1, 1)
         following = self.ensemble.predict(model, known, observation, action)
         reward = self.task.reward(observation, action, following)

@@ -8,43 +8,67 @@ backed-up value has no entropy term. Unlike there, the policy is not warmed up b
 and networks see standardised states, both as in CORL.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-import torch
-from torch import Tensor
+from pydantic import Field
 
 from otc_dist.algorithms.critics import StandardisedActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.gaussian import mode_squashed, sample_squashed
 from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.description.algorithms import AlgorithmSection, LargeSection
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 LOG_STD_RANGE = (-5.0, 2.0)
 PARTS = 4  # the critics judge thousands of actions: of so many parts of a batch, one at a time
+
+
+class CqlSection(LargeSection):
+    """CQL for continuous actions. What Table 3 leaves open is as in its authors' code, but that
+    states are standardised and the actor is not warmed up by imitation, as in CORL.
+    """
+
+    update: ClassVar[float] = 18.0
+
+    name: Literal["cql"] = "cql"
+    actor_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
+    critic_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
+    target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+    weight: float = Field(
+        default=10.0, ge=0, description="w of the conservative term (its authors: 5 or 10)"
+    )
+    action_samples: int = Field(
+        default=10, ge=1, description="actions of each kind in the conservative term"
+    )
 
 
 @dataclass(frozen=True)
 class Cql(StandardisedActorCritic):
     """CQL for one agent with continuous actions in [-1, 1].
 
-    Attributes:
-        actor_learning_rate: the temperature's as well, as in the authors' code.
-        weight: w of the conservative term.
-        action_samples: actions of each of the three kinds in the conservative term.
+    The temperature learns at the actor's rate, as in the authors' code.
     """
 
-    weight: float
-    action_samples: int
+    Section: ClassVar[type[AlgorithmSection]] = CqlSection
+
+    settings: CqlSection
 
     metric_names: tuple[str, ...] = ("critic_loss", "actor_loss", "temperature", "q")
 
     @cached_property
     def actor(self) -> Mlp:
-        return Mlp((self.observation_size,), self.hidden, 2 * self.action_size)
+        return Mlp((self.observation_size,), self.settings.hidden, 2 * self.action_size)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """Networks actor and critic, the latter with a target, log_temperature (1,), and the
@@ -55,7 +79,8 @@ class Cql(StandardisedActorCritic):
         return {**fresh_state(networks, targets=("critic",)), **self.statistics(offline)}
 
     def noise(self, batch_size: int) -> Mapping[str, Draw]:
-        one, several = (batch_size, self.action_size), (self.action_samples, self.action_size)
+        one = (batch_size, self.action_size)
+        several = (self.settings.action_samples, self.action_size)
         return {
             "actor": Draw("normal", one),
             "target": Draw("normal", one),
@@ -81,7 +106,7 @@ class Cql(StandardisedActorCritic):
         new, _ = descend(
             new,
             "log_temperature",
-            self.actor_learning_rate,
+            self.settings.actor_learning_rate,
             lambda log_temperature: self.temperature_loss(log_temperature, log_density),
         )
         temperature = new["log_temperature"].exp()
@@ -89,7 +114,7 @@ class Cql(StandardisedActorCritic):
         new, actor_loss = descend(
             new,
             "actor",
-            self.actor_learning_rate,
+            self.settings.actor_learning_rate,
             lambda actor: self.actor_loss(
                 actor, state["critic"], temperature, batch.observation, noise["actor"]
             ),
@@ -99,10 +124,11 @@ class Cql(StandardisedActorCritic):
         new, critic_loss = descend(
             new,
             "critic",
-            self.critic_learning_rate,
+            self.settings.critic_learning_rate,
             *self.critic_losses(batch, target, *self.candidates(here, there, noise)),
         )
-        new["critic_target"] = polyak(state["critic_target"], new["critic"], self.target_rate)
+        rate = self.settings.target_rate
+        new["critic_target"] = polyak(state["critic_target"], new["critic"], rate)
         return new, torch.stack((critic_loss, actor_loss, temperature[0], target.mean()))
 
     def policy(self, actor: Tensor, observations: Tensor) -> tuple[Tensor, Tensor]:
@@ -137,7 +163,7 @@ class Cql(StandardisedActorCritic):
         """
         actions, _ = sample_squashed(*there, noise)
         q = self.critics.minimum(state["critic_target"], batch.next_observation, actions)
-        return td_target(batch, self.discount, q)
+        return td_target(batch, self.settings.discount, q)
 
     def candidates(
         self, here: tuple[Tensor, Tensor], there: tuple[Tensor, Tensor], noise: Draws
@@ -181,7 +207,7 @@ class Cql(StandardisedActorCritic):
         q_data, q_candidates = q[..., 0], q[..., 1:]
         bellman = ((q_data - target) ** 2).mean(-1)
         gap = (torch.logsumexp(q_candidates - log_density, -1) - q_data).mean(-1)
-        return (bellman + self.weight * gap).sum()
+        return (bellman + self.settings.weight * gap).sum()
 
     def acting_noise(self, copies: int) -> Mapping[str, Draw]:
         return {}

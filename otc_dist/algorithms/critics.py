@@ -2,15 +2,20 @@
 Hoof and Meger, ICML 2018), and what the algorithms that have them share.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from torch import Tensor
 
 from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.moments import moments
 from otc_dist.algorithms.networks import Mlp, descend
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,16 @@ def td_target(batch: Batch, discount: float, next_values: Tensor) -> Tensor:
     return batch.reward + discount * (1 - batch.terminated) * next_values
 
 
+class ActorCriticSettings(Protocol):
+    """What an `ActorCritic` must be told; the section of each algorithm has it."""
+
+    @property
+    def hidden(self) -> tuple[int, ...]: ...
+
+    @property
+    def critic_learning_rate(self) -> float: ...
+
+
 @dataclass(frozen=True)
 class ActorCritic:
     """What continuous-action algorithms with twin critics have in common.
@@ -64,29 +79,22 @@ class ActorCritic:
 
     Attributes:
         observation_size, action_size: the agent's own.
-        hidden: hidden layers of every network.
-        actor_learning_rate, critic_learning_rate: Table 3 of the OTC paper.
-        target_rate: tau of the target networks.
     """
 
     observation_size: int
     action_size: int
-    hidden: tuple[int, ...]
-    actor_learning_rate: float
-    critic_learning_rate: float
-    discount: float
-    target_rate: float
+    settings: ActorCriticSettings
 
     @cached_property
     def critics(self) -> TwinCritics:
-        return TwinCritics(self.observation_size, self.action_size, self.hidden)
+        return TwinCritics(self.observation_size, self.action_size, self.settings.hidden)
 
     def fit_critics(self, state: State, batch: Batch, target: Tensor) -> tuple[State, Tensor]:
         """One step of the critics towards targets y (B,): the new state and the loss before it."""
         return descend(
             state,
             "critic",
-            self.critic_learning_rate,
+            self.settings.critic_learning_rate,
             lambda critic: self.critics.loss(critic, batch, target),
         )
 

@@ -11,19 +11,39 @@ The masks lie in the tails of s and s' (`AgentSpec.choices`). Q also sees them a
 available now is part of what the agent observes.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.nn.functional import smooth_l1_loss
+from pydantic import Field
 
 from otc_dist.algorithms.critics import td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.description.algorithms import AlgorithmSection, LargeSection
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+class DiscreteCqlSection(LargeSection):
+    """CQL for discrete actions."""
+
+    discrete: ClassVar[bool] = True
+    update: ClassVar[float] = 1.1
+
+    name: Literal["discrete-cql"] = "discrete-cql"
+    critic_learning_rate: float = Field(default=1e-4, gt=0, description="Table 3")
+    target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+    weight: float = Field(
+        default=1.0, ge=0, description="alpha of the conservative term, as in the published codes"
+    )
 
 
 @dataclass(frozen=True)
@@ -33,24 +53,19 @@ class DiscreteCql:
     Attributes:
         observation_size: the agent's own, with the mask.
         action_size: number of actions to choose from, the mask's length.
-        hidden: hidden layers of the network.
-        critic_learning_rate: Table 3.
-        weight: alpha of the conservative term.
     """
+
+    Section: ClassVar[type[AlgorithmSection]] = DiscreteCqlSection
 
     observation_size: int
     action_size: int
-    hidden: tuple[int, ...]
-    critic_learning_rate: float
-    discount: float
-    target_rate: float
-    weight: float
+    settings: DiscreteCqlSection
 
     metric_names: tuple[str, ...] = ("critic_loss", "q")
 
     @cached_property
     def critic(self) -> Mlp:
-        return Mlp((self.observation_size,), self.hidden, self.action_size)
+        return Mlp((self.observation_size,), self.settings.hidden, self.action_size)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """The network critic, with a target."""
@@ -67,10 +82,11 @@ class DiscreteCql:
         new, loss = descend(
             {**state, "updates": state["updates"] + 1},
             "critic",
-            self.critic_learning_rate,
+            self.settings.critic_learning_rate,
             lambda critic: self.critic_loss(critic, batch, target),
         )
-        new["critic_target"] = polyak(state["critic_target"], new["critic"], self.target_rate)
+        rate = self.settings.target_rate
+        new["critic_target"] = polyak(state["critic_target"], new["critic"], rate)
         return new, torch.stack((loss, target.mean()))
 
     def target(self, state: State, batch: Batch) -> Tensor:
@@ -80,7 +96,7 @@ class DiscreteCql:
         s = batch.next_observation
         best = self.greedy(state["critic"], s)
         return td_target(
-            batch, self.discount, _at(self.critic.apply(state["critic_target"], s), best)
+            batch, self.settings.discount, _at(self.critic.apply(state["critic_target"], s), best)
         )
 
     def critic_loss(self, critic: Tensor, batch: Batch, target: Tensor) -> Tensor:
@@ -90,7 +106,7 @@ class DiscreteCql:
         values = self.critic.apply(critic, batch.observation)
         q = _at(values, batch.action)
         gap = torch.logsumexp(self.masked(values, batch.observation), -1) - q
-        return smooth_l1_loss(q, target) + self.weight * gap.mean()
+        return torch.nn.functional.smooth_l1_loss(q, target) + self.settings.weight * gap.mean()
 
     def masked(self, values: Tensor, observations: Tensor) -> Tensor:
         """Values (..., n) of the available actions, and -infinity for the others.

@@ -4,15 +4,20 @@ Drawing outside the step keeps it pure, costs less than drawing inside it, and l
 see the same numbers.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-Draws = Mapping[str, Tensor]
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Draws = Mapping[str, "Tensor"]
 
 
 class Draw(NamedTuple):

@@ -5,16 +5,21 @@ minibatches, and they differ by their initial weights, as in BREMEN's code, whic
 nothing either.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-from torch import Tensor
 
 from otc_dist.algorithms.interface import Batch
 from otc_dist.algorithms.moments import moments
 from otc_dist.algorithms.networks import Mlp
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 STATISTICS = tuple(
     f"{part}_{moment}" for part in ("observation", "action", "change") for moment in ("mean", "std")

@@ -4,11 +4,15 @@ Pure functions of a policy's mean and log standard deviation, which broadcast ag
 one state's (B, 1, a) serve n samples (B, n, a).
 """
 
-import math
+from __future__ import annotations
 
-import torch
-from torch import Tensor
-from torch.nn.functional import softplus
+import math
+from typing import TYPE_CHECKING
+
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def log_density(values: Tensor, mean: Tensor, log_std: Tensor) -> Tensor:
@@ -31,7 +35,7 @@ def sample_squashed(mean: Tensor, log_std: Tensor, noise: Tensor) -> tuple[Tenso
         Actions (..., a) in [-1, 1] and log pi (...), differentiable in mean and log_std.
     """
     before = mean + log_std.exp() * noise
-    squash = 2 * (math.log(2) - before - softplus(-2 * before))
+    squash = 2 * (math.log(2) - before - torch.nn.functional.softplus(-2 * before))
     return torch.tanh(before), _standard_log_density(noise, log_std) - squash.sum(-1)
 
 

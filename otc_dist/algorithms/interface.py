@@ -5,17 +5,28 @@ state, a dictionary of tensors; everything random comes in as noise. So the same
 compiled, in a CUDA graph, or eagerly, and a test can run them in float64.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, ParamSpec, Protocol, TypeVar, runtime_checkable
+from typing import (
+    TYPE_CHECKING,
+    NamedTuple,
+    ParamSpec,
+    Protocol,
+    TypeVar,
+    runtime_checkable,
+)
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.lazy import torch
 from otc_dist.transitions import RowLayout
 
-State = dict[str, Tensor]
+if TYPE_CHECKING:
+    from torch import Tensor
+
+State = dict[str, "Tensor"]
 P = ParamSpec("P")
 T = TypeVar("T")
 

@@ -1,9 +1,15 @@
 """Mean and spread of a data set's columns, by which networks see standardised inputs."""
 
-from collections.abc import Iterable
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
 
 OFFSET = 1e-3  # TD3+BC's: an entry that is constant in B_0 may change later
 

@@ -4,20 +4,24 @@ One contiguous vector per optimizer: the whole optimizer step is then a handful 
 and a state dictionary holds a few tensors instead of a hundred.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.func import grad_and_value
-from torch.nn.functional import relu
 
-Tensors = tuple[Tensor, ...]
-Layers = Sequence[tuple[Tensor, Tensor]]
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Tensors = tuple["Tensor", ...]
+Layers = Sequence[tuple["Tensor", "Tensor"]]
 
 ADAM_BETAS = (0.9, 0.999)
 ADAM_EPSILON = 1e-8
@@ -82,10 +86,10 @@ class Mlp:
         products = [_times_first(x, share) for x, share in zip(inputs, shares, strict=True)]
         hidden = _add_bias(reduce(torch.add, products), bias)
         for weight, bias in layers[1:]:
-            hidden = _add_bias(_times(relu(hidden), weight), bias)
+            hidden = _add_bias(_times(torch.nn.functional.relu(hidden), weight), bias)
         return hidden
 
-    def first(self) -> "Mlp":
+    def first(self) -> Mlp:
         """The shape of one copy alone; its parameters are `first_parameters`."""
         return Mlp(self.inputs, self.hidden, self.outputs)
 
@@ -138,7 +142,7 @@ def value_and_gradient(
     the same gradient comes from plain autograd.
     """
     if torch.compiler.is_compiling():
-        gradient, value = grad_and_value(loss)(parameters)
+        gradient, value = torch.func.grad_and_value(loss)(parameters)
         return value, gradient
     with torch.enable_grad():
         leaf = parameters.detach().requires_grad_()

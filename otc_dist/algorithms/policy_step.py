@@ -4,14 +4,18 @@ What is computed for all states is a pure function that the engine runs; what to
 the line search, depends on what was found.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from otc_dist.algorithms.interface import Fuse
 from otc_dist.algorithms.networks import Mlp, value_and_gradient
 from otc_dist.algorithms.trust_region import Step, gauss_newton_product, trust_region_step
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 # The Fisher matrix is computed from every ninth state: a tenth was enough for TRPO's authors.
 # 9 and the usual batch of 128 have no common divisor, so that all rollouts contribute.

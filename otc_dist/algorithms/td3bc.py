@@ -3,40 +3,58 @@
 Constants follow the authors' code where Table 3 of the OTC paper is silent.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.nn.functional import mse_loss
+from pydantic import Field
 
 from otc_dist.algorithms.critics import StandardisedActorCritic, td_target
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak, when
+from otc_dist.description.algorithms import AlgorithmSection, LargeSection
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 TARGET_NOISE = 0.2  # standard deviation of the noise on a', in units of the action bound
 NOISE_CLIP = 0.5
 POLICY_DELAY = 2  # updates of the critics to one of the policy and of all targets
 
 
+class Td3BcSection(LargeSection):
+    """TD3+BC. What Table 3 leaves open is as in its authors' code."""
+
+    update: ClassVar[float] = 1.6
+
+    name: Literal["td3bc"] = "td3bc"
+    actor_learning_rate: float = Field(default=3e-4, gt=0, description="Table 3")
+    critic_learning_rate: float = Field(default=3e-4, gt=0, description="Table 3")
+    target_rate: float = Field(default=0.005, gt=0, le=1, description="tau of the target networks")
+    q_weight: float = Field(
+        default=2.5, ge=0, description="alpha, weight of Q against imitation of the data"
+    )
+
+
 @dataclass(frozen=True)
 class Td3Bc(StandardisedActorCritic):
-    """TD3+BC for one agent with continuous actions in [-1, 1].
+    """TD3+BC for one agent with continuous actions in [-1, 1]."""
 
-    Attributes:
-        q_weight: alpha in  lambda = alpha / mean |Q|, see `actor_loss`.
-    """
+    Section: ClassVar[type[AlgorithmSection]] = Td3BcSection
 
-    q_weight: float
+    settings: Td3BcSection
 
     metric_names: tuple[str, ...] = ("critic_loss", "actor_loss", "q")
 
     @cached_property
     def actor(self) -> Mlp:
-        return Mlp((self.observation_size,), self.hidden, self.action_size)
+        return Mlp((self.observation_size,), self.settings.hidden, self.action_size)
 
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """Networks critic and actor with targets, and the `statistics` of B_0."""
@@ -83,12 +101,12 @@ class Td3Bc(StandardisedActorCritic):
         new, loss = descend(
             counted,
             "actor",
-            self.actor_learning_rate,
+            self.settings.actor_learning_rate,
             lambda actor: self.actor_loss(actor, state["critic"], batch),
         )
         for name in ("critic", "actor"):
             target = f"{name}_target"
-            new[target] = polyak(state[target], new[name], self.target_rate)
+            new[target] = polyak(state[target], new[name], self.settings.target_rate)
         return *(new[name] for name in changing), POLICY_DELAY * loss
 
     def target(self, state: State, batch: Batch, noise: Tensor) -> Tensor:
@@ -97,7 +115,7 @@ class Td3Bc(StandardisedActorCritic):
         smoothing = (TARGET_NOISE * noise).clamp(-NOISE_CLIP, NOISE_CLIP)
         actions = (self._action(state["actor_target"], s) + smoothing).clamp(-1, 1)
         return td_target(
-            batch, self.discount, self.critics.minimum(state["critic_target"], s, actions)
+            batch, self.settings.discount, self.critics.minimum(state["critic_target"], s, actions)
         )
 
     def actor_loss(self, actor: Tensor, critic: Tensor, batch: Batch) -> Tensor:
@@ -107,8 +125,8 @@ class Td3Bc(StandardisedActorCritic):
         """
         actions = self._action(actor, batch.observation)
         q = self.critics.first(critic, batch.observation, actions)
-        scale = self.q_weight / q.abs().mean().detach()
-        return mse_loss(actions, batch.action) - scale * q.mean()
+        scale = self.settings.q_weight / q.abs().mean().detach()
+        return torch.nn.functional.mse_loss(actions, batch.action) - scale * q.mean()
 
     def acting_noise(self, copies: int) -> Mapping[str, Draw]:
         return {}

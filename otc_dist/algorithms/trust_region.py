@@ -6,12 +6,16 @@ The natural gradient is found by conjugate gradients on Fisher-vector products, 
 radius delta, and shortened until the step improves L and stays within delta (their Appendix C).
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from __future__ import annotations
 
-import torch
-from torch import Tensor
-from torch.func import jvp, vjp
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
 
 # As in BREMEN's code.
 DAMPING = 0.1  # added to the Fisher matrix's diagonal
@@ -23,7 +27,7 @@ CONVERGED = 1e-10  # squared residual at which conjugate gradients stay where th
 # full step exceeds the radius by a few percent about every other time, and would lose half.
 SHORTENING = 0.8
 
-Product = Callable[[Tensor], Tensor]  # v -> A v (n,)
+Product = Callable[["Tensor"], "Tensor"]  # v -> A v (n,)
 
 
 class Step(NamedTuple):
@@ -86,8 +90,8 @@ def gauss_newton_product(
     Of the means of normal distributions of one fixed deviation, this over its square is the
     Hessian of their KL divergence where they are equal, without second derivatives.
     """
-    change: Tensor = jvp(function, (parameters,), (vector,))[1]
-    product: Tensor = vjp(function, parameters)[1](change)[0]
+    change: Tensor = torch.func.jvp(function, (parameters,), (vector,))[1]
+    product: Tensor = torch.func.vjp(function, parameters)[1](change)[0]
     return product
 
 

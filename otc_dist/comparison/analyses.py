@@ -24,6 +24,7 @@ from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.learner import Learner
 from otc_dist.otc.acceptance import ACCEPTANCES
+from otc_dist.otc.correction import settings_of
 from otc_dist.otc.distances.interface import Scores
 from otc_dist.otc.mixing import ImitatingAll
 from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
@@ -114,7 +115,7 @@ class _Known:
 class _Oracle:
     def __init__(self, description: Description, joint: JointTransitions) -> None:
         self._seed, self._joint = description.seed, joint
-        self._settings, self._batch = description.sampling, description.algorithm.batch_size
+        self._settings, self._batch = settings_of(description), description.algorithm.batch_size
         self._agents = registry.team_spec(description.env.id).agents
         self._distances = [_Known() for _ in self._agents]
 

@@ -3,13 +3,16 @@
 from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
 
+from otc_dist import user_code
 from otc_dist.comparison import perfect
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
-from otc_dist.description.distances import DISTANCES
+from otc_dist.description.kinds import STRATEGIES
+from otc_dist.description.sampling import Arm
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, unknown
 from otc_dist.names import is_name
+from otc_dist.otc.correction import share_of
 from otc_dist.run_folder import RunFolder
 
 Arms = dict[str, tuple[str, ...]]  # name -> `section.key=value` assignments
@@ -19,33 +22,19 @@ NULL = "uniform-null"  # the reference with other minibatches: what chance alone
 PERFECT = "perfect"  # an analysis: transitions as they would be with the others acting as now
 ORACLE = "oracle"  # an analysis: the transitions in which the others acted most as they do now
 
-_RANK = ("sampling.name=otc", "sampling.acceptance=rank")
-_SHARE = ("sampling.name=otc", "sampling.acceptance=share", "sampling.share=0.1")
-_PAPER = ("sampling.corrects=all", "sampling.normaliser=paper", "sampling.with_replacement=true")
-
-
-def _of(distance: str, *assignments: str) -> tuple[str, ...]:
-    return (*assignments, f"sampling.distance={distance}")
-
-
-KNOWN: Arms = {
-    **{f"otc-{name}": _of(name, *_RANK) for name in DISTANCES if name != "random"},
-    **{f"{name}-share": _of(name, *_SHARE) for name in DISTANCES},
-    "otc-embedding-fixed": _of("embedding", *_RANK, "sampling.adaptive=false"),
-    "otc-value-fixed": _of("value", *_RANK, "sampling.adaptive=false"),
-    "otc-value-shared": _of("value", *_RANK, "sampling.normaliser=shared"),
-    "paper-embedding": _of("embedding", *_RANK, *_PAPER),
-    "paper-value": _of("value", *_RANK, *_PAPER),
-    "dynamics-conformal": _of("dynamics", "sampling.name=otc", "sampling.acceptance=conformal"),
-    "typical-offline": ("offline.rows=typical", "sampling.name=uniform"),
-    REFERENCE: ("sampling.name=uniform",),
-    "rlpd": ("sampling.name=uniform", "sampling.online_share=0.5"),
-    "online-only": ("sampling.name=online-only",),
-    "balanced": ("sampling.name=balanced",),
-    NULL: ("sampling.name=uniform", "minibatch_key=1"),
+_OF_STRATEGIES = {
+    arm: told for name in STRATEGIES for arm, told in STRATEGIES.section(name).arms.items()
 }
+_NULL = Arm(
+    ("sampling.name=uniform", "minibatch_key=1"),
+    "uniform with other minibatches: what chance alone does",
+)
+KNOWN: Arms = {name: arm.assignments for name, arm in _OF_STRATEGIES.items()} | {
+    NULL: _NULL.assignments
+}
+MEANINGS = {name: arm.meaning for name, arm in _OF_STRATEGIES.items()} | {NULL: _NULL.meaning}
 # What no learner can do: `analyses` makes these arms, and a single run cannot take them.
-ANALYSES: Arms = {PERFECT: ("sampling.name=uniform",), ORACLE: _of("random", *_SHARE)}
+ANALYSES: Arms = {PERFECT: ("sampling.name=uniform",), ORACLE: share_of("random")}
 USUAL = ("dynamics-share", "typical-share", "random-share", REFERENCE)
 
 
@@ -100,7 +89,13 @@ def _parse_own(text: str) -> tuple[str, tuple[str, ...]]:
         )
     if name in KNOWN or name in ANALYSES:
         raise UserError(f"--arm {text!r}: {name} is an arm already; choose another name")
-    return name, tuple(assignments.split(","))
+    trust(assigned := tuple(assignments.split(",")))
+    return name, assigned
+
+
+def trust(assignments: Iterable[str]) -> None:
+    """Allow the code that assignments of the user's name."""
+    user_code.allow(*(text.partition("=")[2].strip(" '\"") for text in assignments))
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:

@@ -23,6 +23,7 @@ from otc_dist.comparison.scores import ComparisonFolder, write_json
 from otc_dist.comparison.specimen import Specimen
 from otc_dist.description import Description
 from otc_dist.envs import registry
+from otc_dist.otc.correction import settings_of
 from otc_dist.randomness import stream
 
 POOL = 40_000  # rows of B_1 that minibatches come from: acting on all of B_1 would take minutes
@@ -80,7 +81,7 @@ def _selected(
     description: Description, specimen: Specimen, pool: Pool, agent: str
 ) -> dict[str, Selected]:
     """All rows of one agent, on the same minibatches."""
-    sampling = description.sampling
+    sampling = settings_of(description)
     of_row, wanted = ways(description, specimen, pool), noise(description, specimen)
     newest = np.arange(pool.size, len(pool.mismatch))
     sums = {row: np.zeros(len(fields(Selected))) for row in of_row}

@@ -18,9 +18,11 @@ from otc_dist.comparison.specimen import Specimen
 from otc_dist.datasets import store
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.description import Description
+from otc_dist.description.kinds import STRATEGIES
 from otc_dist.folds import folds
 from otc_dist.otc import create_sampler
-from otc_dist.otc.samplers import Data, Extent, Held
+from otc_dist.otc.data import Data
+from otc_dist.otc.samplers import Extent, Held
 from otc_dist.randomness import stream
 from otc_dist.training import BLOCK, train
 from otc_dist.transitions import Float64, Transitions
@@ -36,7 +38,7 @@ class Pool:
     error: Tensor  # (N,) of s', squared, from what it would be with the others acting as now
     value: Tensor  # (N,) V(s'), not a number without a Q
     online: Tensor  # (N,) whether it is D_1's
-    priorities: Tensor  # (size,) Balanced Replay's
+    weights: dict[str, Tensor]  # row of the table -> (size,) how likely a strategy draws each
 
     def means(self, rows: Tensor) -> Float64:
         """Of `rows`: mismatch and error of s', of all and of B_0's among them, V(s'), and the share
@@ -65,16 +67,21 @@ def pools(
     chosen = stream(seed, "mechanism", "pool").choice(count, size, replace=False)
     numbers = np.concatenate([chosen, np.arange(offline, count)])
     is_online = torch.from_numpy(numbers >= offline)
-    rows, halves, priorities = [], [], []
+    rows, halves, weights = [], [], []
+    strategies = {name: row for name in STRATEGIES if (row := STRATEGIES.section(name).row)}
     for index, specimen in enumerate(specimens):
-        tell(0.1 * index / len(specimens), "Balanced Replay's density ratio")
+        tell(0.1 * index / len(specimens), "what samplers learn")
         before, newest = joint.of_agent(index), team.own_transitions(online, index)
         merged = specimen.rows(Transitions.concatenate([before, newest]))
-        learned = _balanced_priorities(description, specimen, merged, offline, index)
+        learned = {
+            row: _weights(name, description, specimen, merged, offline, index)
+            for name, row in strategies.items()
+        }
         rows.append(merged[torch.from_numpy(numbers)])
         both = np.concatenate([folds(before), folds(newest)])
         halves.append(torch.from_numpy(both[numbers]))
-        priorities.append(learned[torch.from_numpy(chosen)])
+        mine = torch.from_numpy(chosen)
+        weights.append({row: of_all[mine] for row, of_all in learned.items()})
     gaps = []  # of each agent, (N, a)
     for index, (specimen, mine) in enumerate(zip(specimens, rows, strict=True)):
         tell(0.1 + 0.3 * index / len(rows), "asking the policies what they would do")
@@ -91,7 +98,7 @@ def pools(
             errors[index],
             specimen.next_values(mine, stream(seed, "mechanism", "value", index)),
             is_online,
-            priorities[index],
+            weights[index],
         )
         for index, (specimen, mine) in enumerate(zip(specimens, rows, strict=True))
     ]
@@ -123,19 +130,24 @@ def _others(gaps: Sequence[NDArray[np.float32]], index: int) -> list[NDArray[np.
     return [gap for j, gap in enumerate(gaps) if j != index]
 
 
-def _balanced_priorities(
-    description: Description, specimen: Specimen, rows: Tensor, offline: int, agent: int
+def _weights(
+    name: str,
+    description: Description,
+    specimen: Specimen,
+    rows: Tensor,
+    offline: int,
+    agent: int,
 ) -> Tensor:
-    """Balanced Replay's priorities (N,) of all rows of B_1 after the first deployment's L updates,
-    in which w learned and the policy did not.
+    """How likely a strategy draws each row of B_1 (N,), after the first deployment's L updates, in
+    which it learned and the policy did not.
     """
-    described = description.with_assignments("sampling.name=balanced")
+    described = description.with_assignments(f"sampling.name={name}")
     sampler = create_sampler(specimen.setting._replace(description=described), len(rows))
     extent = Extent(offline, offline, len(rows))
     data, nothing = Data(rows, rows[:, :0]), rows.new_zeros(0)
 
     def random(*key: int | str) -> np.random.Generator:
-        return stream(description.seed, "mechanism", "balanced", agent, *key)
+        return stream(description.seed, "mechanism", name, agent, *key)
 
     def draw_block(block: int, count: int) -> dict[str, NDArray[np.generic]]:
         noise = draw(random("noise", block), sampler.noise(), count)
@@ -150,7 +162,7 @@ def _balanced_priorities(
         begun = {**specimen.state, **sampler.begin(held).changed}
         span = (0, description.deployment.updates)
         learned = train(begun, update, draw_block, rows.device, span, BLOCK, _ignore)
-    return learned["sampler_priorities"].view(-1)[: len(rows)]
+    return sampler.weights(learned, len(rows))
 
 
 def _ignore(state: State, done: int, metrics: list[float]) -> None:

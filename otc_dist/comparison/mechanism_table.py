@@ -11,7 +11,6 @@ from otc_dist.comparison.scores import read_json
 from otc_dist.comparison.tables import aligned
 from otc_dist.errors import UserError
 
-BALANCED = "Balanced Replay"
 UNIFORM = "uniform, other minibatches"
 ORACLE = "oracle: the mismatch itself"
 ONLINE = "D_1 alone, uniform"

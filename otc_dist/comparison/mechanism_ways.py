@@ -11,12 +11,13 @@ from torch import Tensor
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import action_features, unpack
 from otc_dist.comparison.mechanism_pool import Pool
-from otc_dist.comparison.mechanism_table import BALANCED, ORACLE, UNIFORM
+from otc_dist.comparison.mechanism_table import ORACLE, UNIFORM
 from otc_dist.comparison.specimen import Specimen
 from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
 from otc_dist.otc import priorities
 from otc_dist.otc.acceptance import rank
+from otc_dist.otc.correction import settings_of
 from otc_dist.otc.distances import create_distance
 from otc_dist.otc.prioritization import prioritize
 from otc_dist.otc.samplers import Extent, Held
@@ -33,7 +34,7 @@ _OTC = ("sampling.name=otc", "sampling.acceptance=rank", "sampling.matching=mini
 
 def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, Way]:
     """Row of the table -> how it selects. Without a Q there is no d_q."""
-    sampling, batch = description.sampling, description.algorithm.batch_size
+    sampling, batch = settings_of(description), description.algorithm.batch_size
     alpha = torch.tensor(sampling.alpha, dtype=torch.float32)
 
     def ranked(distances: Distances) -> Way:
@@ -55,7 +56,7 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
         """By distances within a minibatch, as Algorithm 1 has it."""
         described = description.with_assignments(*_OTC, f"sampling.distance={name}", *assignments)
         setting = specimen.setting._replace(description=described)
-        sampler = rank.create(create_distance(name, setting), described.sampling, batch)
+        sampler = rank.create(create_distance(name, setting), settings_of(described), batch)
         assert isinstance(sampler, rank.RankMatched)
 
         def distances(draws: Draws) -> Tensor:
@@ -87,9 +88,9 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
         best = scores.argsort(stable=True)[: math.ceil(BEST * pool.size)]
         found[f"{facts.title}, {TENTH}"] = partial(_any_of, best)
     nearest = pool.mismatch[: pool.size].argsort(stable=True)[: math.ceil(BEST * pool.size)]
-    held = priorities.of(pool.priorities)
+    for row, weights in pool.weights.items():
+        found[row] = partial(_by_priority, priorities.of(weights))
     return found | {
-        BALANCED: lambda draws: priorities.choose(*held, draws["balanced"]),
         "raw (s, a) match, raw s'": ranked(raw),
         "nearness in (s, a) alone": ranked(lambda draws: gaps(draws).amin(dim=1)),
         # All at the same distance in a random order: uniform.
@@ -103,9 +104,13 @@ def _looked_up(scores: Tensor, draws: Draws) -> Tensor:
     return scores[draws["candidates"]]
 
 
+def _by_priority(held: tuple[Tensor, Tensor], draws: Draws) -> Tensor:
+    return priorities.choose(*held, draws["part"])
+
+
 def _any_of(rows: Tensor, draws: Draws) -> Tensor:
     """As many of `rows` as a batch has, each as likely as another."""
-    return rows[(draws["balanced"] * len(rows)).long()]
+    return rows[(draws["part"] * len(rows)).long()]
 
 
 def _scores(description: Description, specimen: Specimen, pool: Pool, name: str) -> Tensor:
@@ -125,12 +130,12 @@ def _scores(description: Description, specimen: Specimen, pool: Pool, name: str)
 
 def noise(description: Description, specimen: Specimen) -> dict[str, Draw]:
     """The random arrays that all ways need for one minibatch."""
-    sampling, batch = description.sampling, description.algorithm.batch_size
+    sampling, batch = settings_of(description), description.algorithm.batch_size
     wanted: dict[str, Draw] = {}
     if specimen.critic:
         wanted.update(specimen.critic.value_noise(sampling.candidates, sampling.value_samples))
     priority = {"priority": Draw("exponential", (sampling.candidates,))}
-    return wanted | priority | {"balanced": Draw("uniform", (batch,))}
+    return wanted | priority | {"part": Draw("uniform", (batch,))}
 
 
 def _standardised(pool: Pool, layout: RowLayout) -> tuple[Tensor, Tensor]:

@@ -26,7 +26,8 @@ def would_do(learner: Learner, observations: Float32, random: np.random.Generato
     """
     algorithm, state = learner.policy
     if isinstance(algorithm, Bcq):
-        algorithm = replace(algorithm, acting_candidates=CANDIDATES)
+        settings = algorithm.settings.model_copy(update={"acting_candidates": CANDIDATES})
+        algorithm = replace(algorithm, settings=settings)
     device = next(iter(state.values())).device
     found = []
     with torch.no_grad():

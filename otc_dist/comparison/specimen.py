@@ -17,9 +17,9 @@ from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
 from otc_dist.engine import Engine
 from otc_dist.envs import registry
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances import create_features
 from otc_dist.otc.distances.interface import Features, Setting
-from otc_dist.otc.samplers import Data
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Float32, RowLayout, Transitions
 

@@ -2,15 +2,13 @@
 
 import re
 import tomllib
-from typing import get_args
+from collections.abc import Mapping
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from otc_dist.description.algorithms import AlgorithmSection
+from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
 from otc_dist.errors import UserError, unknown
-
-_UNION = "algorithm"  # the one section whose keys depend on a name in it
 
 
 def assign(data: dict[str, object], assignment: str) -> None:
@@ -33,22 +31,24 @@ def assign(data: dict[str, object], assignment: str) -> None:
     target[key] = value
 
 
-def explain(root: type[BaseModel], problem: ErrorDetails, source: str) -> UserError:
-    """One line for a validation error of `root`, with the nearest known name if one is unknown."""
-    *sections, key = _location(problem) or [""]
+def explain(
+    root: type[BaseModel], problem: ErrorDetails, source: str, data: Mapping[str, object]
+) -> UserError:
+    """One line for a validation error of `root`, with the nearest known name if one is unknown.
+
+    Args:
+        data: what was validated.
+    """
+    *sections, key = [str(part) for part in problem["loc"]] or [""]
     where = ".".join([*sections, key])
     if problem["type"] == "extra_forbidden":
-        known = _fields(root, problem)
+        known = _fields(root, sections, data)
         return UserError(
             f"{source}: {unknown('key', where, ['.'.join([*sections, k]) for k in known])}"
         )
     if problem["type"] == "literal_error":
         known = re.findall(r"'([^']*)'", problem.get("ctx", {}).get("expected", ""))
         return UserError(f"{source}: {unknown(where, str(problem['input']), known)}")
-    if problem["type"] == "union_tag_invalid":
-        context = problem.get("ctx", {})
-        known = re.findall(r"'([^']*)'", context.get("expected_tags", ""))
-        return UserError(f"{source}: {unknown(where + '.name', str(context['tag']), known)}")
     if problem["type"] == "missing":
         return UserError(f"{source}: {where} is missing; every description needs it")
     if problem["type"] in ("model_type", "model_attributes_type"):
@@ -61,21 +61,14 @@ def explain(root: type[BaseModel], problem: ErrorDetails, source: str) -> UserEr
     return UserError(f"{source}: {where + ': ' if where else ''}{message}{given}")
 
 
-def _location(problem: ErrorDetails) -> list[str]:
-    """Section and key, without the algorithm's name, which pydantic puts between them."""
-    location = [str(part) for part in problem["loc"]]
-    return location[:1] + location[2:] if location[:1] == [_UNION] and location[1:] else location
-
-
-def _fields(root: type[BaseModel], problem: ErrorDetails) -> list[str]:
+def _fields(root: type[BaseModel], sections: list[str], data: Mapping[str, object]) -> list[str]:
     """Keys of the section that holds the unknown one."""
-    *sections, _ = [str(part) for part in problem["loc"]]
+    if sections == ["algorithm"]:
+        return ALGORITHMS.keys(data[sections[0]])
+    if sections == ["sampling"]:
+        return STRATEGIES.keys(data[sections[0]])
     model = root
     for section in sections:
-        if section == _UNION:
-            members = get_args(get_args(AlgorithmSection)[0])
-            model = next(m for m in members if m.model_fields["name"].default == sections[1])
-            break
         annotation = model.model_fields[section].annotation
         if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
             return []

@@ -4,19 +4,20 @@ The same description and seed give the same run, to the byte.
 """
 
 import hashlib
-import math
 import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 import tomli_w
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, PlainValidator, SerializeAsAny, ValidationError, model_validator
 
-from otc_dist.description.algorithms import AlgorithmSection, BcqSection
+from otc_dist import user_code
+from otc_dist.description.algorithms import AlgorithmSection
 from otc_dist.description.assignments import assign, explain
-from otc_dist.description.distances import DISTANCES
+from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
+from otc_dist.description.sampling import SamplingSection
 from otc_dist.description.section import Section
 from otc_dist.description.sections import (
     BusSection,
@@ -28,7 +29,6 @@ from otc_dist.description.sections import (
     EnvSection,
     EvaluationSection,
     OfflineSection,
-    SamplingSection,
 )
 from otc_dist.errors import UserError
 from otc_dist.names import Name
@@ -45,6 +45,16 @@ TOLD = (
 )
 
 
+_Algorithm = Annotated[
+    SerializeAsAny[AlgorithmSection],
+    PlainValidator(ALGORITHMS.chosen, json_schema_input_type=AlgorithmSection),
+]
+_Sampling = Annotated[
+    SerializeAsAny[SamplingSection],
+    PlainValidator(STRATEGIES.chosen, json_schema_input_type=SamplingSection),
+]
+
+
 class Description(Section):
     """A whole run. `launch/*.toml` are descriptions; the run folder keeps the resolved one."""
 
@@ -54,10 +64,10 @@ class Description(Section):
     minibatch_key: int = Field(default=0, ge=0, description="other minibatches while tuning")
     env: EnvSection
     dataset: DatasetSection
-    algorithm: AlgorithmSection = BcqSection()
+    algorithm: _Algorithm = Field(default_factory=lambda: ALGORITHMS.chosen({}))
     embedding: EmbeddingSection = EmbeddingSection()
     dynamics: DynamicsSection = DynamicsSection()
-    sampling: SamplingSection = SamplingSection()
+    sampling: _Sampling = Field(default_factory=lambda: STRATEGIES.chosen({}))
     offline: OfflineSection = OfflineSection()
     deployment: DeploymentSection = DeploymentSection()
     evaluation: EvaluationSection = EvaluationSection()
@@ -87,34 +97,9 @@ class Description(Section):
             data["dataset"] = {**dataset, "name": f"{whole}/{level}"}
         return data
 
-    @field_validator("algorithm", mode="before")
-    @classmethod
-    def _named(cls, section: object) -> object:
-        """A section that names no algorithm is BCQ's."""
-        return {"name": "bcq", **section} if isinstance(section, dict) else section
-
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        batch, sampling = self.algorithm.batch_size, self.sampling
-        otc = sampling.name == "otc"
-        if otc and DISTANCES[sampling.distance].needs_q and not self.algorithm.has_q:
-            raise ValueError(
-                f"sampling.distance = {sampling.distance!r} needs a Q, and"
-                f" {self.algorithm.name} has none; use 'embedding'"
-            )
-        deployed, conformal = self.deployment.transitions, sampling.acceptance == "conformal"
-        if otc and conformal and 0 < deployed < math.ceil(1 / sampling.level) - 1:
-            raise ValueError(
-                f"sampling.level = {sampling.level:g} needs deployments of at least"
-                f" {math.ceil(1 / sampling.level) - 1} transitions, not {deployed}: no p-value"
-                " among fewer is as small"
-            )
-        ranked = otc and sampling.acceptance == "rank"
-        if ranked and not batch <= sampling.candidates:
-            raise ValueError(
-                f"algorithm.batch_size ({batch}) must not exceed sampling.candidates"
-                f" ({sampling.candidates}), from which it is drawn"
-            )
+        self.sampling.check(self.algorithm, self.deployment.transitions)
         return self
 
     @classmethod
@@ -156,7 +141,7 @@ class Description(Section):
         except ValidationError as error:
             if merged != data and cls._is_valid(data):
                 source = "command line"
-            raise explain(cls, error.errors()[0], source) from None
+            raise explain(cls, error.errors()[0], source, merged) from None
 
     @classmethod
     def _is_valid(cls, data: dict[str, object]) -> bool:
@@ -170,29 +155,47 @@ class Description(Section):
         """A copy with `section.key=value` assignments applied; errors as in `load`.
 
         With another `algorithm.name` the section keeps what is not the old algorithm's default;
-        with another environment the data set is the same level of it.
+        with another `sampling.name` what strategies of this package know; with another environment
+        the data set is the same level of it.
         """
         data = self.model_dump(mode="json")
         data["dataset"]["name"] = self.dataset.name.removeprefix(f"{self.env.id}/")
         changed = self.algorithm.model_dump(mode="json", exclude_defaults=True)
         data["algorithm"] = {"name": self.algorithm.name, **changed}
+        named = [
+            text.partition("=")[2] for text in assignments if text.startswith("sampling.name=")
+        ]
+        if named and named[-1] != self.sampling.name:
+            known = STRATEGIES.settings()
+            data["sampling"] = {key: x for key, x in data["sampling"].items() if key in known}
         return self.build(data, assignments)
 
     @property
     def heading(self) -> str:
         """The summary, or the same told by the names of the settings."""
-        sampling = self.sampling
-        titled = DISTANCES[sampling.distance].title
-        tuned = f"OTC, {titled} by {sampling.acceptance}" if sampling.name == "otc" else ""
         return self.summary or (
-            f"{self.dataset.name}: {self.algorithm.name} tuned by"
-            f" {tuned or sampling.name + ' sampling'}"
+            f"{self.dataset.name}: {self.algorithm.name} tuned by {self.sampling.title}"
         )
 
     @property
     def code(self) -> tuple[str, ...]:
-        """What of it may name code of the user's own, as module:function."""
-        return self.env.id, self.dataset.name.rpartition("/")[0]
+        """What of it may name code of the user's own, as module:function or module:Class."""
+        return self.env.id, self.dataset.name.rpartition("/")[0], *self.parts
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The names of what learns: of the algorithm and of the sampling strategy."""
+        return self.algorithm.name, self.sampling.name
+
+    def trusted(self) -> Self:
+        """A copy that is to be run: the code that it names is loaded, and its settings are checked.
+
+        Raises:
+            UserError: it cannot be loaded, or has other settings.
+        """
+        user_code.allow(*self.code)
+        read = ALGORITHMS.is_read(self.algorithm) and STRATEGIES.is_read(self.sampling)
+        return self if read else self.with_assignments()
 
     def progress(self, deployment: int) -> float:
         """The share of the deployments gone in deployment and evaluation k, from 0 to 1."""

@@ -1,30 +1,13 @@
-"""The sections of a launch description, but for the algorithm's: one class each."""
+"""The sections of a launch description, but for what is chosen by name: one class each."""
 
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
-from pydantic import AfterValidator, Field, PositiveInt, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, PositiveInt, model_validator
 
-from otc_dist.description.distances import DISTANCES
 from otc_dist.description.section import Section
 from otc_dist.names import DatasetId, EnvironmentId
 
 EngineName = Literal["auto", "compiled", "cuda-graph", "eager"]
-SamplingName = Literal["otc", "uniform", "online-only", "balanced"]
-AcceptanceName = Literal["rank", "share", "conformal"]
-NormaliserName = Literal["relative", "shared", "paper"]
-
-
-def _known_distance(name: str) -> str:
-    if name not in DISTANCES:
-        expected = ", ".join(map(repr, DISTANCES))
-        raise PydanticCustomError(
-            "literal_error", "must be one of {expected}", {"expected": expected}
-        )
-    return name
-
-
-DistanceName = Annotated[str, AfterValidator(_known_distance)]
 
 
 class EnvSection(Section):
@@ -73,81 +56,6 @@ class DynamicsSection(Section):
     correction_updates: int = Field(
         default=500, ge=1, description="on D_k, of each of two networks, at most"
     )
-
-
-class SamplingSection(Section):
-    """How minibatches are drawn from B_k while tuning (Algorithm 1, lines 10 to 14)."""
-
-    name: SamplingName = Field(
-        default="otc", description="the strategy; distance and acceptance are those of `otc`"
-    )
-    distance: DistanceName = Field(
-        default="typical",
-        description="; ".join(f"{name}: {facts.meaning}" for name, facts in DISTANCES.items()),
-    )
-    acceptance: AcceptanceName = Field(
-        default="share",
-        description="rank: Eq. 3, by the rank in a minibatch; share: the best share of B_k;"
-        " conformal: what D_k itself could have looked like",
-    )
-    corrects: Literal["values", "all"] = Field(
-        default="values",
-        description="values: what imitates the data sees a plain sample of B_k; all: the paper's",
-    )
-    share: float = Field(default=0.1, gt=0, le=1, description="of B_k that `share` accepts")
-    level: float = Field(
-        default=0.01,
-        gt=0,
-        lt=1,
-        description="p-value from which `conformal` accepts a row for sure",
-    )
-    online_share: float = Field(
-        default=0.0, ge=0, lt=1, description="of every batch that is D_1 .. D_k's (RLPD: 0.5)"
-    )
-    matching: Literal["minibatch", "exact"] = Field(
-        default="minibatch",
-        description="match against a minibatch D (the paper) or against all of D_k",
-    )
-    candidates: int = Field(default=512, ge=1, description="|B|, Table 3")
-    references: int = Field(default=2000, ge=1, description="|D|, Table 3")
-    alpha: float = Field(default=1.0, ge=0, description="alpha_0")
-    adaptive: bool = Field(default=True, description="adapt alpha at each deployment (Eq. 4)")
-    alpha_bound: float = Field(default=0.0, ge=0, description="upper bound on alpha; 0: none")
-    with_replacement: bool = Field(default=False, description="sample Eq. 3 with replacement")
-    exclude_self: bool = Field(
-        default=False, description="D_k's own transitions never match themselves"
-    )
-    normaliser: NormaliserName = Field(default="relative", description="of V(s') in d_q")
-    value_samples: int = Field(default=1, ge=1, description="actions a value V(s') is the mean of")
-    similarity_sample: int = Field(
-        default=20_000, ge=1, description="rows of B that Eq. 4 uses with d_e and d_c"
-    )
-    density_hidden: tuple[PositiveInt, ...] = Field(
-        default=(64, 64),
-        description="hidden layers of Balanced Replay's w(s, a); its authors' are (256, 256)",
-    )
-    density_learning_rate: float = Field(
-        default=1e-3,
-        gt=0,
-        description="of w(s, a); its authors' is 3e-4 (docs/method.md compares both networks)",
-    )
-    temperature: float = Field(
-        default=5.0, gt=0, description="T: Balanced Replay's priorities are w(s, a)^(1/T)"
-    )
-
-    @property
-    def matches_minibatches(self) -> bool:
-        """Whether distances change from update to update: by a minibatch D, or with Q."""
-        return self.matching == "minibatch" or self.distance == "value"
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        if self.online_share and self.name in ("online-only", "balanced"):
-            raise ValueError(
-                f"sampling.online_share is for 'otc' and 'uniform': {self.name} chooses its online"
-                " data itself"
-            )
-        return self
 
 
 class OfflineSection(Section):

@@ -49,9 +49,10 @@ def digests(module: str, loaded: Collection[str]) -> dict[str, str]:
 
 
 def _file(name: str) -> Path | None:
-    """The file of a module that was imported."""
+    """The file of a module that was imported; None if there is none, whatever the module says."""
     told = getattr(sys.modules.get(name), "__file__", None)
-    return Path(told).absolute() if told else None
+    file = Path(told).absolute() if told else None
+    return file if file and file.is_file() else None
 
 
 def _installed() -> set[Path]:

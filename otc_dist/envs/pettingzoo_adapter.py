@@ -111,13 +111,8 @@ def _made(env_id: str) -> Any:  # PettingZoo is untyped
         made: Any = user_code.found(env_id)()
     except UserError:
         raise
-    except ModuleNotFoundError as error:
-        raise UserError(
-            f"{env_id}: there is no module {error.name}; start from the folder that holds it, or"
-            " install it"
-        ) from None
     except (Exception, SystemExit) as error:  # whatever the user's code raises
-        raise UserError(f"{env_id} cannot be made: {checks.described(error)}") from error
+        raise UserError(f"{env_id} cannot be made: {user_code.described(error)}") from error
     with checks.in_users_code(env_id, "asked for its possible_agents, it"):
         turns, agents = hasattr(made, "agent_iter"), hasattr(made, "possible_agents")
     if turns:

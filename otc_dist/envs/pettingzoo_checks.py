@@ -6,12 +6,9 @@ where it did so.
 
 import math
 import reprlib
-import sysconfig
 import textwrap
-import traceback
 from collections.abc import Hashable, Iterator, Mapping, Set
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +17,7 @@ from numpy.typing import NDArray
 
 from otc_dist.errors import UserError
 from otc_dist.transitions import Float32, all_finite
+from otc_dist.user_code import described
 
 # What `ParallelEnv`'s calls return, each a dictionary by agent.
 RETURNS = {
@@ -29,8 +27,6 @@ RETURNS = {
 
 _SHOWN = 120  # characters of a space
 _LARGEST = float(np.finfo(np.float32).max)
-_OURS = Path(__file__).parent
-_INSTALLED = tuple({Path(path) for path in sysconfig.get_paths().values()})
 
 
 @contextmanager
@@ -42,25 +38,6 @@ def in_users_code(env_id: str, what: str) -> Iterator[None]:
         raise
     except (Exception, SystemExit) as error:  # whatever the user's code raises
         raise UserError(f"{env_id}: {what} raised {described(error)}") from error
-
-
-def described(error: BaseException) -> str:
-    """The exception's type and message, and the place in the user's code that raised it."""
-    said = " ".join(str(error).split())
-    text = f"{type(error).__name__}: {said}" if said else type(error).__name__
-    # What is below the user's last line are packages that it called.
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if not frame.filename.startswith("<") and not Path(frame.filename).is_relative_to(_OURS)
-    ]
-    own = [
-        frame
-        for frame in frames
-        if not any(Path(frame.filename).is_relative_to(folder) for folder in _INSTALLED)
-    ]
-    place = (own or frames)[-1:]
-    return f"{text} ({place[0].filename}:{place[0].lineno})" if place else text
 
 
 def returned(

@@ -9,35 +9,67 @@ made positive by a softplus, whose gradient never vanishes, where they use a ReL
 at once, so the priority of new transitions is told by the share they shall have (`begin`).
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.nn.functional import softplus
+from pydantic import Field, PositiveInt
 
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import State, action_features, unpack
 from otc_dist.algorithms.networks import Mlp, adam, value_and_gradient
+from otc_dist.description.sampling import Arm, Cost, SamplingSection
+from otc_dist.lazy import torch
 from otc_dist.otc import priorities
-from otc_dist.otc.samplers import (
-    Begun,
-    Data,
-    Extent,
-    Gathered,
-    Held,
-    Indices,
-    Sampler,
-    Selection,
-)
+from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
 from otc_dist.transitions import RowLayout
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from otc_dist.otc.data import Data
+    from otc_dist.otc.distances.interface import Setting
 
 ONLINE_SHARE = 0.5  # of D_k in the first minibatches after a deployment (init_online_fraction)
 PRIORITY_RANGE = (1e-3, 1e3)
 TINY = 1e-10  # inside logarithms and quotients, as in the authors' code
 EVEN = math.log(math.e - 1)  # softplus(EVEN) = 1: at first both densities count as equal
+
+
+class BalancedSection(SamplingSection):
+    """Balanced Replay."""
+
+    arms: ClassVar[Mapping[str, Arm]] = {
+        "balanced": Arm(
+            ("sampling.name=balanced",),
+            "Balanced Replay, by how near to the online data (s, a) is",
+        )
+    }
+    row: ClassVar[str] = "Balanced Replay"
+    bound: ClassVar[bool] = True
+
+    name: Literal["balanced"] = "balanced"
+    density_hidden: tuple[PositiveInt, ...] = Field(
+        default=(64, 64),
+        description="hidden layers of Balanced Replay's w(s, a); its authors' are (256, 256)",
+    )
+    density_learning_rate: float = Field(
+        default=1e-3,
+        gt=0,
+        description="of w(s, a); its authors' is 3e-4 (docs/method.md compares both networks)",
+    )
+    temperature: float = Field(
+        default=5.0, gt=0, description="T: Balanced Replay's priorities are w(s, a)^(1/T)"
+    )
+
+    @property
+    def cost(self) -> Cost:
+        return Cost(update=0.4)
 
 
 @dataclass(frozen=True)
@@ -49,21 +81,23 @@ class Balanced(Sampler):
 
     Attributes:
         capacity: rows of the replay buffer, filled or not.
-        hidden: hidden layers of w.
-        temperature: T.
     """
 
+    Section: ClassVar[type[SamplingSection]] = BalancedSection
+
+    settings: BalancedSection
     layout: RowLayout
     batch_size: int
     capacity: int
-    hidden: tuple[int, ...]
-    learning_rate: float
-    temperature: float
+
+    @classmethod
+    def create(cls, settings: BalancedSection, setting: Setting, capacity: int) -> Sampler:
+        return cls(settings, setting.layout, setting.description.algorithm.batch_size, capacity)
 
     @cached_property
     def density(self) -> Mlp:
         actions = self.layout.choices or self.layout.action_size
-        return Mlp((self.layout.observation_size, actions), self.hidden, 1)
+        return Mlp((self.layout.observation_size, actions), self.settings.density_hidden, 1)
 
     @property
     def computes(self) -> bool:
@@ -110,10 +144,9 @@ class Balanced(Sampler):
         _, gradient = value_and_gradient(
             lambda density: self.loss(density, offline, online), density
         )
-        trained, moments = adam(
-            density, gradient, state["sampler_density_moments"], updates, self.learning_rate
-        )
-        root = 1 / self.temperature
+        moments, rate = state["sampler_density_moments"], self.settings.density_learning_rate
+        trained, moments = adam(density, gradient, moments, updates, rate)
+        root = 1 / self.settings.temperature
         level = (self.ratio(density, offline) ** root).mean() + TINY
         found = (self.ratio(density, chosen) ** root / level).clamp(*PRIORITY_RANGE)
         held = state["sampler_priorities"].view(-1)[numbers]
@@ -125,6 +158,9 @@ class Balanced(Sampler):
             **_named(priorities.replace(*_priorities(state), numbers, found)),
         }
         return Selection(numbers, numbers, changed)
+
+    def weights(self, state: State, size: int) -> Tensor:
+        return state["sampler_priorities"].view(-1)[:size]
 
     def loss(self, density: Tensor, offline: Tensor, online: Tensor) -> Tensor:
         """mean [-log(2 / (w_off + 1)) - log(2 w_on / (w_on + 1))], whose minimum is reached by
@@ -143,7 +179,8 @@ class Balanced(Sampler):
         """w(s, a) (B,) of packed rows (B, width), above 0. A discrete action is one-hot."""
         batch = unpack(rows, self.layout)
         action = action_features(batch.action, self.layout.choices)
-        return softplus(EVEN + self.density.apply(density, batch.observation, action).squeeze(-1))
+        logits = EVEN + self.density.apply(density, batch.observation, action).squeeze(-1)
+        return torch.nn.functional.softplus(logits)
 
     def _fresh(self, extent: Extent, random: np.random.Generator, device: torch.device) -> State:
         network = self.density.initialise(random).astype(np.float32)

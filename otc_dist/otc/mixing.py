@@ -1,14 +1,20 @@
 """Samplers made of others: online data beside what is chosen, and a plain sample to imitate."""
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import State
-from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, Sampler, Selection
+from otc_dist.lazy import torch
+from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
+
+if TYPE_CHECKING:
+    from otc_dist.otc.data import Data
 
 
 @dataclass(frozen=True)
@@ -77,3 +83,14 @@ class ImitatingAll(Around):
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
         return self.inner.select(state, gathered, draws)._replace(imitated=draws["plain"])
+
+
+def with_online(choose: Callable[[int], Sampler], share: float, batch_size: int) -> Sampler:
+    """A sampler of whole batches, of which a share is online data.
+
+    Args:
+        choose: makes what chooses so many transitions, the rest of a batch.
+    """
+    online = round(share * batch_size)
+    chosen = choose(batch_size - online)
+    return WithOnline(chosen, online) if online else chosen

@@ -4,10 +4,13 @@ import torch
 
 from otc_dist.otc.acceptance import share
 from otc_dist.otc.acceptance.weighted import Weighted
+from otc_dist.otc.correction import settings_of
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Features, Setting
 from otc_dist.otc.distances.typical import TypicalDistance
 from otc_dist.otc.mixing import ImitatingAll
-from otc_dist.otc.samplers import Data, Held, Sampler, Uniform
+from otc_dist.otc.samplers import Held, Sampler
+from otc_dist.otc.uniform import Uniform
 
 
 def offline_sampler(setting: Setting) -> Sampler:
@@ -17,7 +20,7 @@ def offline_sampler(setting: Setting) -> Sampler:
     description, batch = setting.description, setting.description.algorithm.batch_size
     if description.offline.rows == "all":
         return Uniform(batch)
-    section = description.sampling.model_copy(update={"share": description.offline.share})
+    section = settings_of(description).model_copy(update={"share": description.offline.share})
     best = Weighted(section, batch, TypicalDistance(), share.weights)
     return ImitatingAll(best, batch)
 

@@ -5,8 +5,15 @@ A draw searches the running sum of the sums, then one block; a change adds up th
 touches. So neither looks at all rows.
 """
 
-import torch
-from torch import Tensor
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from otc_dist.lazy import torch
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
 
 BLOCK = 128  # rows: with 400,000 a draw of 128 reads 3,125 sums and 16,384 priorities
 

@@ -7,19 +7,25 @@ buffer at random once for every pair: ten times slower. What depends on a deploy
 computed once, before its updates (`begin`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import State
-from otc_dist.engine import Engine
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from otc_dist.description import SamplingSection
+    from otc_dist.engine import Engine
+    from otc_dist.otc.data import Data
+    from otc_dist.otc.distances.interface import Setting
 
 Random = Callable[..., np.random.Generator]  # a stream for a key
 
@@ -30,19 +36,6 @@ class Extent(NamedTuple):
     offline: int
     newest: int
     size: int
-
-
-class Data(NamedTuple):
-    """What a learner holds of its own: packed rows, what its distance keeps beside them, and what
-    its sampler has prepared.
-    """
-
-    rows: Tensor  # (capacity, width)
-    features: Tensor  # (capacity, n); n = 0 where no distance keeps anything
-    # (capacity,) 0 or 1, half of the episodes each; empty where nothing is fitted by halves
-    folds: Tensor = torch.zeros(0, dtype=torch.int64)
-    # By name, the same in all updates after one deployment: alpha, or scores of all rows.
-    prepared: Mapping[str, Tensor] = MappingProxyType({})
 
 
 class Held(NamedTuple):
@@ -78,14 +71,28 @@ class Selection(NamedTuple):
 
 
 Indices = dict[str, NDArray[np.generic]]
-Gathered = dict[str, Tensor]
+Gathered = dict[str, "Tensor"]
 
 
 class Sampler:
     """A sampling strategy. What one learns lies in the brain's state, under keys `sampler_*`.
 
     What it does not say is as of one that learns nothing and looks at no row that it draws.
+
+    Attributes:
+        Section: its settings; of those that a description can choose.
     """
+
+    Section: ClassVar[type[SamplingSection]]
+
+    @classmethod
+    def create(cls, settings: Any, setting: Setting, capacity: int) -> Sampler:
+        """The strategy of one agent, for a replay buffer of `capacity` rows.
+
+        Args:
+            settings: of the strategy's own `Section`.
+        """
+        return cls(settings, setting.description.algorithm.batch_size)  # type: ignore[call-arg]
 
     @property
     def computes(self) -> bool:
@@ -122,17 +129,9 @@ class Sampler:
         """The rows of one update, from its share of the draws."""
         raise NotImplementedError
 
+    def weights(self, state: State, size: int) -> Tensor:
+        """How likely each of the rows 0 .. size - 1 is drawn, by what was learned so far (size,).
 
-@dataclass(frozen=True)
-class Uniform(Sampler):
-    """Uniform over the merged data B_k, or over the online data D_1 .. D_k only."""
-
-    batch_size: int
-    online_only: bool = False
-
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
-        start = extent.offline if self.online_only else 0
-        return {"batch": random.integers(start, extent.size, (updates, self.batch_size))}
-
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        return Selection(draws["batch"], draws["batch"])
+        Asked of those with a `SamplingSection.row`.
+        """
+        raise NotImplementedError

@@ -6,8 +6,9 @@ from pathlib import Path
 from pydantic import BaseModel, FiniteFloat, ValidationError
 
 from otc_dist.description import Description
-from otc_dist.description.sections import SamplingSection
+from otc_dist.description.kinds import STRATEGIES
 from otc_dist.errors import UserError
+from otc_dist.otc.uniform import UniformSection
 from otc_dist.run_folder import RunFolder
 
 NAME = "uniform"  # of the sampling with which others are compared
@@ -51,12 +52,13 @@ def find(folder: RunFolder, description: Description) -> Uniform | None:
 
 def _plain(description: Description) -> bool:
     """Whether all of B_k is drawn alike."""
-    return description.sampling.name == NAME and not description.sampling.online_share
+    sampling = description.sampling
+    return isinstance(sampling, UniformSection) and not sampling.online_share
 
 
 def _apart_from_sampling(description: Description) -> str:
     """Digest of all else that a run's policies and deployments depend on."""
-    alike: dict[str, object] = {"summary": "", "sampling": SamplingSection()}
+    alike: dict[str, object] = {"summary": "", "sampling": STRATEGIES.chosen({})}
     return description.model_copy(update=alike).tuning_digest()
 
 

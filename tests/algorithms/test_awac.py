@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from otc_dist.algorithms.awac import Awac
+from otc_dist.algorithms.awac import Awac, AwacSection
 from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import Batch, State
 
@@ -26,9 +26,7 @@ def make(
     weighting: Weighting = "softmax",
     temperature: float = 2.0,
 ) -> Awac:
-    return Awac(
-        observation_size=s,
-        action_size=a,
+    settings = AwacSection(
         hidden=hidden,
         actor_learning_rate=3e-4,
         critic_learning_rate=5e-4,
@@ -37,6 +35,7 @@ def make(
         weighting=weighting,
         temperature=temperature,
     )
+    return Awac(s, a, settings)
 
 
 def start(awac: Awac, random: np.random.Generator) -> tuple[State, Batch]:

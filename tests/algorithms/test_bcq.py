@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from otc_dist.algorithms.bcq import Bcq
+from otc_dist.algorithms.bcq import Bcq, BcqSection
 from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import Batch, State
 
@@ -15,9 +15,7 @@ UPDATES, BATCH, CANDIDATES = 120, 32, 5
 
 
 def make(s: int, a: int, hidden: tuple[int, ...]) -> Bcq:
-    return Bcq(
-        observation_size=s,
-        action_size=a,
+    settings = BcqSection(
         hidden=hidden,
         actor_learning_rate=3e-4,
         critic_learning_rate=5e-4,
@@ -29,6 +27,7 @@ def make(s: int, a: int, hidden: tuple[int, ...]) -> Bcq:
         perturbation=0.05,
         soft_minimum=0.75,
     )
+    return Bcq(s, a, settings)
 
 
 def random_batch(random: np.random.Generator, s: int, a: int, size: int = BATCH) -> Batch:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from otc_dist.algorithms.advantages import generalised_advantages
-from otc_dist.algorithms.bremen import Bremen
+from otc_dist.algorithms.bremen import Bremen, BremenSection
 from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import Batch, State, unpack
 from otc_dist.engine import Engine
@@ -40,9 +40,10 @@ class Endless(Bounded):
         return next_observation[..., 0] > np.inf
 
 
-def make(s: int, a: int, hidden: tuple[int, ...], **settings: Any) -> Bremen:
+def make(
+    s: int, a: int, hidden: tuple[int, ...], task: Bounded | None = None, **settings: Any
+) -> Bremen:
     usual: dict[str, Any] = {
-        "task": Bounded(),
         "actor_learning_rate": 3e-4,
         "model_learning_rate": 5e-4,
         "average_rate": 0.02,
@@ -54,7 +55,8 @@ def make(s: int, a: int, hidden: tuple[int, ...], **settings: Any) -> Bremen:
         "trace": 0.95,
         "radius": 0.05,
     }
-    return Bremen(observation_size=s, action_size=a, hidden=hidden, **{**usual, **settings})
+    section = BremenSection(hidden=hidden, **{**usual, **settings})
+    return Bremen(s, a, section, task or Bounded())
 
 
 def start(bremen: Bremen, random: np.random.Generator) -> tuple[State, Batch]:
@@ -87,12 +89,12 @@ def plain_of(bremen: Bremen, state: State, offline: Batch) -> references_bremen.
         bremen.task,
         bremen.observation_size,
         bremen.action_size,
-        bremen.hidden,
-        clone_rate=bremen.actor_learning_rate,
-        model_rate=bremen.model_learning_rate,
-        horizon=bremen.horizon,
-        std=bremen.std,
-        radius=bremen.radius,
+        bremen.settings.hidden,
+        clone_rate=bremen.settings.actor_learning_rate,
+        model_rate=bremen.settings.model_learning_rate,
+        horizon=bremen.settings.horizon,
+        std=bremen.settings.std,
+        radius=bremen.settings.radius,
     )
     plain.load(state)
     moments = plain.fit_normalisers(offline.observation, offline.action, offline.next_observation)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from otc_dist.algorithms.cql import Cql
+from otc_dist.algorithms.cql import Cql, CqlSection
 from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import Batch, State
 
@@ -19,9 +19,7 @@ FROZEN = {"state_mean", "state_std"}
 
 
 def make(s: int, a: int, hidden: tuple[int, ...]) -> Cql:
-    return Cql(
-        observation_size=s,
-        action_size=a,
+    settings = CqlSection(
         hidden=hidden,
         actor_learning_rate=3e-4,
         critic_learning_rate=5e-4,
@@ -30,6 +28,7 @@ def make(s: int, a: int, hidden: tuple[int, ...]) -> Cql:
         weight=5.0,
         action_samples=6,
     )
+    return Cql(s, a, settings)
 
 
 def start(cql: Cql, random: np.random.Generator) -> tuple[State, Batch]:
@@ -93,7 +92,7 @@ def test_candidates_weigh_alike_where_q_is_flat() -> None:
     np.testing.assert_allclose(means, 2.0, rtol=0.02)
     flat = torch.zeros_like(state["critic"])
     loss = cql.critic_loss(flat, batch, torch.zeros(BATCH).double(), actions, log_density)
-    assert float(loss) == pytest.approx(2 * cql.weight * math.log(3 * n * 2.0), rel=1e-3)
+    assert float(loss) == pytest.approx(2 * cql.settings.weight * math.log(3 * n * 2.0), rel=1e-3)
 
 
 def test_actions_stay_within_bounds_and_densities_finite_where_tanh_saturates() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from otc_dist.algorithms.discrete_cql import DiscreteCql
+from otc_dist.algorithms.discrete_cql import DiscreteCql, DiscreteCqlSection
 from otc_dist.algorithms.interface import Batch, State
 
 from .. import references_cql
@@ -17,15 +17,14 @@ SIZES = [(12, 5, (64, 64)), (9, 3, (24, 16, 8))]
 
 
 def make(s: int, choices: int, hidden: tuple[int, ...]) -> DiscreteCql:
-    return DiscreteCql(
-        observation_size=s,
-        action_size=choices,
+    settings = DiscreteCqlSection(
         hidden=hidden,
         critic_learning_rate=5e-4,
         discount=0.99,
         target_rate=0.05,
         weight=1.5,
     )
+    return DiscreteCql(s, choices, settings)
 
 
 def start(cql: DiscreteCql, random: np.random.Generator) -> tuple[State, Batch]:

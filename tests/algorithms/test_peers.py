@@ -13,15 +13,15 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from otc_dist.algorithms.awac import Awac
-from otc_dist.algorithms.bcq import Bcq
-from otc_dist.algorithms.cql import Cql
+from otc_dist.algorithms.awac import Awac, AwacSection
+from otc_dist.algorithms.bcq import Bcq, BcqSection
+from otc_dist.algorithms.cql import Cql, CqlSection
 from otc_dist.algorithms.critics import td_target
-from otc_dist.algorithms.discrete_cql import DiscreteCql
+from otc_dist.algorithms.discrete_cql import DiscreteCql, DiscreteCqlSection
 from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import Batch, State
 from otc_dist.algorithms.networks import Mlp
-from otc_dist.algorithms.td3bc import Td3Bc
+from otc_dist.algorithms.td3bc import Td3Bc, Td3BcSection
 
 from .arrays import double, first, random_batch, random_choices
 
@@ -33,7 +33,7 @@ S, A, BATCH, UPDATES = 5, 2, 16, 40
 HIDDEN = (16, 12)
 ROUNDED = 1e-6  # d3rlpy sums the critics' losses in float32; their gradients stay in float64
 ACTOR_RATE, CRITIC_RATE = 3e-4, 5e-4
-SIZES: dict[str, Any] = {"observation_size": S, "hidden": HIDDEN, "discount": 0.99}
+USUAL: dict[str, Any] = {"hidden": HIDDEN, "discount": 0.99}
 RATES: dict[str, Any] = {"actor_learning_rate": ACTOR_RATE, "critic_learning_rate": CRITIC_RATE}
 
 
@@ -141,10 +141,10 @@ def test_bcq(noise: Noise) -> None:
     d3rlpy's decoder leaves out the tanh that the authors' code ends with (its flag says the
     opposite of what it does), so its actions are not bounded: the tanh is put back here.
     """
-    bcq = Bcq(
-        **SIZES, **RATES, action_size=A, vae_learning_rate=1e-3, target_rate=0.05,
+    bcq = Bcq(S, A, BcqSection(
+        **USUAL, **RATES, vae_learning_rate=1e-3, target_rate=0.05,
         target_candidates=5, acting_candidates=7, perturbation=0.05, soft_minimum=0.75,
-    )  # fmt: skip
+    ))  # fmt: skip
     peer = Peer(
         "BCQ", A, actor_learning_rate=ACTOR_RATE, critic_learning_rate=CRITIC_RATE,
         imitator_learning_rate=1e-3, tau=0.05, n_action_samples=5,
@@ -179,7 +179,7 @@ def test_bcq(noise: Noise) -> None:
 
 def test_td3bc(noise: Noise) -> None:
     """Losses and weights for 40 updates, on states that both find normalised."""
-    td3bc = Td3Bc(**SIZES, **RATES, action_size=A, target_rate=0.05, q_weight=2.5)
+    td3bc = Td3Bc(S, A, Td3BcSection(**USUAL, **RATES, target_rate=0.05, q_weight=2.5))
     peer = Peer(
         "TD3PlusBC", A, actor_learning_rate=ACTOR_RATE, critic_learning_rate=CRITIC_RATE, tau=0.05
     )
@@ -219,7 +219,7 @@ def test_awac(noise: Noise) -> None:
     authors' a mean.
     """
     awac = Awac(
-        **SIZES, **RATES, action_size=A, target_rate=0.05, weighting="softmax", temperature=0.03
+        S, A, AwacSection(**USUAL, **RATES, target_rate=0.05, weighting="softmax", temperature=0.03)
     )
     peer = Peer("AWAC", A, lam=0.03)
     modules = peer.modules
@@ -252,7 +252,7 @@ def test_cql(noise: Noise, monkeypatch: pytest.MonkeyPatch) -> None:
     takes a sample of it. Nor the temperature's loss, which is of the temperature in d3rlpy and of
     its logarithm in the authors' code; the sign of the gradient is the same.
     """
-    cql = Cql(**SIZES, **RATES, action_size=A, target_rate=0.05, weight=5.0, action_samples=6)
+    cql = Cql(S, A, CqlSection(**USUAL, **RATES, target_rate=0.05, weight=5.0, action_samples=6))
     peer = Peer(
         "CQL", A, conservative_weight=5.0, n_action_samples=6, alpha_learning_rate=0.0,
         alpha_threshold=0.0, initial_temperature=0.7, temp_learning_rate=0.0,
@@ -299,7 +299,9 @@ def test_discrete_cql() -> None:
     """
     choices = 3
     cql = DiscreteCql(
-        **SIZES, action_size=choices, critic_learning_rate=CRITIC_RATE, target_rate=1.0, weight=1.0
+        S,
+        choices,
+        DiscreteCqlSection(**USUAL, critic_learning_rate=CRITIC_RATE, target_rate=1.0, weight=1.0),
     )
     peer = Peer("DiscreteCQL", choices, learning_rate=CRITIC_RATE, target_update_interval=1)
     modules = peer.modules

@@ -6,7 +6,7 @@ import torch
 
 from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.td3bc import Td3Bc
+from otc_dist.algorithms.td3bc import Td3Bc, Td3BcSection
 
 from .. import references_td3bc
 from .arrays import double, first, random_batch
@@ -18,9 +18,7 @@ FROZEN = {"state_mean", "state_std"}
 
 
 def make(s: int, a: int, hidden: tuple[int, ...]) -> Td3Bc:
-    return Td3Bc(
-        observation_size=s,
-        action_size=a,
+    settings = Td3BcSection(
         hidden=hidden,
         actor_learning_rate=3e-4,
         critic_learning_rate=5e-4,
@@ -28,6 +26,7 @@ def make(s: int, a: int, hidden: tuple[int, ...]) -> Td3Bc:
         target_rate=0.05,
         q_weight=2.5,
     )
+    return Td3Bc(s, a, settings)
 
 
 def start(td3bc: Td3Bc, random: np.random.Generator) -> tuple[State, Batch]:

@@ -17,7 +17,8 @@ from otc_dist.description import Description
 from otc_dist.engine import Engine
 from otc_dist.errors import UserError
 from otc_dist.learner import Learner
-from otc_dist.otc.samplers import Data, Extent, Held, Sampler
+from otc_dist.otc.data import Data
+from otc_dist.otc.samplers import Extent, Held, Sampler
 from otc_dist.transitions import Float32
 
 from .conftest import VERSIONS, silent

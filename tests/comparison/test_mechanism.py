@@ -7,7 +7,6 @@ import pytest
 from otc_dist.comparison import mechanism, mechanism_table, perfect
 from otc_dist.comparison.mechanism_pool import successor_errors
 from otc_dist.comparison.mechanism_table import (
-    BALANCED,
     ONLINE,
     ORACLE,
     UNIFORM,
@@ -21,6 +20,7 @@ from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
 from otc_dist.errors import UserError
+from otc_dist.otc.balanced import BalancedSection
 
 from .conftest import SEEDS, silent
 
@@ -39,7 +39,7 @@ def measured(finished: ComparisonFolder, base: Description) -> Mechanism:
 
 def test_the_oracle_selects_less_mismatch_and_the_null_row_as_much(measured: Mechanism) -> None:
     rows = {row.name: row for row in measured.rows}
-    assert {BALANCED, UNIFORM, ORACLE, ORACLE_TENTH, ONLINE} < set(rows)
+    assert {BalancedSection.row, UNIFORM, ORACLE, ORACLE_TENTH, ONLINE} < set(rows)
     assert rows[ORACLE].mismatch.mean < 0.9
     assert rows[UNIFORM].mismatch.mean == pytest.approx(1, abs=0.03)
     assert rows[ORACLE_TENTH].mismatch.mean < 0.6
@@ -121,7 +121,7 @@ def test_balanced_replay_selects_what_its_density_ratio_has_learned(
         changed = base.with_assignments(f"deployment.updates={updates}")
         mechanism.measure(finished, changed, 0, f"{updates}", silent)
         rows = mechanism_table.read([finished.mechanism(f"{updates}", 0)]).rows
-        shares[updates] = next(row.online.mean for row in rows if row.name == BALANCED)
+        shares[updates] = next(row.online.mean for row in rows if row.name == BalancedSection.row)
     uniform = 80 / 1280
     assert 0.3 < shares[1] < 0.5
     assert shares[30] == pytest.approx(uniform, abs=0.03)  # all drawn once, nothing learned yet

@@ -1,6 +1,7 @@
 import errno
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from otc_dist import checkpoint, learner, team
+from otc_dist import checkpoint, learner, team, user_code
 from otc_dist.comparison import runs
-from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, Arms, describe
+from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, Arms, describe, parse_arms
 from otc_dist.comparison.scores import ComparisonFolder, Run, best_of
 from otc_dist.comparison.statistics import summarise
 from otc_dist.description import Description
@@ -19,6 +20,7 @@ from otc_dist.learner import Learner
 from otc_dist.measured import Measured
 from otc_dist.processor import processor
 
+from .. import toys
 from .conftest import SEEDS, VERSIONS, silent
 
 
@@ -98,6 +100,23 @@ def test_repeating_a_run_reproduces_its_scores(
     assert replace(found, seconds=expected.seconds, arm=REFERENCE) == expected
     assert found.evaluations[1] != scores[0, NULL].evaluations[1]
     finished.run(0, "copy").unlink()
+
+
+def test_an_arm_may_be_a_sampling_strategy_of_the_users_own(
+    finished: ComparisonFolder, base: Description, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(user_code, "_allowed", set())
+    shutil.copy(toys.__file__, tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    own = ["recent=sampling.name=toys:Recent,sampling.span=100"]
+    arms = parse_arms("uniform", own)
+    assert describe(base, arms["recent"], 0).sampling.model_dump()["span"] == 100
+    tuned = runs.run_arm(finished, base, 0, "recent", arms["recent"], VERSIONS, silent)
+    assert tuned.evaluations[1].policies != tuned.evaluations[0].policies
+    finished.run(0, "recent").unlink()
+    # A comparison of such a strategy holds the others against it.
+    chosen = base.with_assignments(*arms["recent"])
+    assert describe(chosen, arms[REFERENCE], 0) == describe(base, arms[REFERENCE], 0)
 
 
 def test_interrupted_offline_training_goes_on_to_the_same_policy(

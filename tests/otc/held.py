@@ -6,7 +6,8 @@ import numpy as np
 
 from otc_dist.algorithms.interface import State
 from otc_dist.engine import Engine
-from otc_dist.otc.samplers import Data, Extent, Held
+from otc_dist.otc.data import Data
+from otc_dist.otc.samplers import Extent, Held
 
 
 def held_by(state: State, data: Data, extent: Extent, random: np.random.Generator) -> Held:

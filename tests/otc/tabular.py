@@ -13,11 +13,12 @@ from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws, draw
 from otc_dist.algorithms.interface import State
-from otc_dist.description import SamplingSection
 from otc_dist.otc.acceptance import conformal, share
 from otc_dist.otc.acceptance.rank import RankMatched
+from otc_dist.otc.correction import CorrectionSection
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances.value import ValueDistance
-from otc_dist.otc.samplers import Data, Extent
+from otc_dist.otc.samplers import Extent
 from otc_dist.transitions import RowLayout
 
 Float = NDArray[np.float64]
@@ -133,7 +134,7 @@ def sampled_dynamics(sets: Sets, alpha: float, *, replace: bool, minibatches: in
     """P(s'|s, a) among what Algorithm 1 selects from B_1 (lines 10 to 14), by the library's own
     sampler with d_q, at Table 3's sizes.
     """
-    settings = SamplingSection(distance="value", normaliser="shared", with_replacement=replace)
+    settings = CorrectionSection(distance="value", normaliser="shared", with_replacement=replace)
     distance = ValueDistance(TabularCritic(), LAYOUT, settings)
     sampler = RankMatched(settings, 128, distance)
     rows = torch.zeros(len(sets.rows), LAYOUT.width)
@@ -165,7 +166,7 @@ def weighted_dynamics(sets: Sets, acceptance: str) -> Float:
         scores[judge == fold] = (residual**2).sum(-1)
     weigh = {"share": share.weights, "conformal": conformal.weights}[acceptance]
     extent = Extent(offline, offline, len(rows))
-    weights = weigh(SamplingSection(), torch.from_numpy(scores), extent).double().numpy()
+    weights = weigh(CorrectionSection(), torch.from_numpy(scores), extent).double().numpy()
     weights[offline:] = 1.0
     counts = np.zeros((STATES, ACTIONS, STATES))
     np.add.at(counts, tuple(rows.T), weights)

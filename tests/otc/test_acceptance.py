@@ -7,10 +7,12 @@ import pytest
 import torch
 from scipy import stats
 
-from otc_dist.description import SamplingSection
 from otc_dist.otc.acceptance import ACCEPTANCES, conformal, share
+from otc_dist.otc.correction import CorrectionSection
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Scores
-from otc_dist.otc.samplers import Data, Extent, Held
+from otc_dist.otc.samplers import Extent, Held
+from otc_dist.otc.uniform import UniformSection
 
 from .held import held_by
 
@@ -33,7 +35,7 @@ class Given:
 
 def drawn(acceptance: str, scores: np.ndarray, **settings: Any) -> np.ndarray:
     """How often each row is drawn in 2,000 batches."""
-    section = SamplingSection(acceptance=acceptance, **settings)
+    section = CorrectionSection(acceptance=acceptance, **settings)
     sampler = ACCEPTANCES[acceptance](Given(scores), section, BATCH)
     rows = torch.zeros(1200, 3)
     random = np.random.default_rng(0)
@@ -57,7 +59,7 @@ def test_the_best_share_and_the_newest_data_are_drawn_alike_and_nothing_else() -
 
 
 def test_of_equal_scores_exactly_the_share_is_accepted() -> None:
-    weights = share.weights(SamplingSection(share=0.25), torch.zeros(1000), EXTENT)
+    weights = share.weights(CorrectionSection(share=0.25), torch.zeros(1000), EXTENT)
     assert weights.sum() == 250
 
 
@@ -76,14 +78,14 @@ def test_conformal_accepts_by_the_p_value_among_the_newest_data() -> None:
 def test_conformal_accepts_nearly_everything_where_nothing_differs(level: float) -> None:
     scores = torch.from_numpy(np.random.default_rng(3).exponential(size=10_000))
     extent = Extent(offline=9000, newest=9000, size=10_000)
-    weights = conformal.weights(SamplingSection(level=level), scores, extent)
+    weights = conformal.weights(CorrectionSection(level=level), scores, extent)
     assert weights[:9000].mean() > 1 - level
 
 
 def test_a_batch_holds_as_much_online_data_as_described() -> None:
     from .test_samplers import one_update, setting
 
-    section = SamplingSection(name="uniform", online_share=0.5)
+    section = UniformSection(online_share=0.5)
     from otc_dist.otc import create_sampler
 
     sampler = create_sampler(setting(section), 450)

@@ -12,8 +12,9 @@ from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import State
 from otc_dist.engine import Engine
 from otc_dist.otc import balanced
-from otc_dist.otc.balanced import Balanced
-from otc_dist.otc.samplers import Data, Extent, Selection
+from otc_dist.otc.balanced import Balanced, BalancedSection
+from otc_dist.otc.data import Data
+from otc_dist.otc.samplers import Extent, Selection
 from otc_dist.transitions import RowLayout
 
 from .. import references
@@ -27,15 +28,15 @@ SECOND = Extent(offline=300, newest=340, size=400)  # and D_2; rows beyond are n
 
 
 def make(**changes: Any) -> Balanced:
-    values: dict[str, Any] = {
-        "layout": LAYOUT,
-        "batch_size": BATCH,
-        "capacity": CAPACITY,
-        "hidden": (16, 8),
-        "learning_rate": 1e-3,
+    sizes: dict[str, Any] = {"layout": LAYOUT, "batch_size": BATCH, "capacity": CAPACITY}
+    settings: dict[str, Any] = {
+        "density_hidden": (16, 8),
+        "density_learning_rate": 1e-3,
         "temperature": 5.0,
     }
-    return Balanced(**(values | changes))
+    for name, value in changes.items():
+        (sizes if name in sizes else settings)[name] = value
+    return Balanced(BalancedSection(**settings), **sizes)
 
 
 def held(seed: int = 0) -> Data:
@@ -72,10 +73,13 @@ class Plain:
     """Balanced Replay, from the equations of its paper and code."""
 
     def __init__(self, sampler: Balanced, state: State) -> None:
-        self.network = references.Network(S + A, sampler.hidden, 1)
+        settings = sampler.settings
+        self.network = references.Network(S + A, settings.density_hidden, 1)
         references.set_flat([self.network], state["sampler_density"])
-        self.adam = torch.optim.Adam(self.network.parameters(), lr=sampler.learning_rate)
-        self.temperature = sampler.temperature
+        self.adam = torch.optim.Adam(
+            self.network.parameters(), lr=sampler.settings.density_learning_rate
+        )
+        self.temperature = settings.temperature
         self.priorities = np.zeros(CAPACITY)
         self.priorities[: FIRST.offline] = 1
 
@@ -141,7 +145,7 @@ def test_w_becomes_the_ratio_of_the_densities() -> None:
     rows[count // 2 :, 0] += 1
     data = Data(torch.from_numpy(rows), torch.zeros(count, 0))
     extent = Extent(offline=count // 2, newest=count // 2, size=count)
-    sampler = make(capacity=count, batch_size=256, learning_rate=3e-3)
+    sampler = make(capacity=count, batch_size=256, density_learning_rate=3e-3)
     state = begun(sampler, extent)
     for _ in range(300):
         state, _ = one_update(sampler, state, data, random, extent)

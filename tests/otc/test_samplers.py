@@ -8,16 +8,18 @@ import pytest
 import torch
 from scipy import stats
 
-from otc_dist.algorithms.bcq import Bcq
+from otc_dist.algorithms.bcq import Bcq, BcqSection
 from otc_dist.algorithms.draws import Draws, draw
 from otc_dist.algorithms.interface import State, unpack
 from otc_dist.description import SamplingSection
-from otc_dist.description.algorithms import BcqSection
+from otc_dist.description.kinds import STRATEGIES
 from otc_dist.otc import create_sampler
 from otc_dist.otc.acceptance.rank import RankMatched
+from otc_dist.otc.correction import CorrectionSection
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances import create_distance
 from otc_dist.otc.distances.interface import Matching, Setting
-from otc_dist.otc.samplers import Data, Extent, Held
+from otc_dist.otc.samplers import Extent, Held
 from otc_dist.transitions import RowLayout
 
 from .. import references
@@ -27,20 +29,20 @@ from .held import held_by
 S, A, BATCH = 5, 2, 16
 LAYOUT = RowLayout(S, A)
 EXTENT = Extent(offline=300, newest=360, size=400)  # D_1 is [300, 360), D_2 is [360, 400)
-ALGORITHM = Bcq(S, A, **BcqSection(hidden=(16, 16)).model_dump(exclude={"name", "batch_size"}))
-STRATEGIES = [
+ALGORITHM = Bcq(S, A, BcqSection(hidden=(16, 16)))
+CHOICES = [
     *product(["embedding"], ["relative"], [False, True], [False, True]),
     *product(["change"], ["relative"], [False, True], [False, True]),
     *product(["value"], ["relative", "shared", "paper"], [False, True], [False, True]),
 ]
 
 
-def settings(**changes: Any) -> SamplingSection:
+def settings(**changes: Any) -> Any:
     values: dict[str, Any] = {
         **{"distance": "embedding", "acceptance": "rank"},
         **{"candidates": 64, "references": 30, "value_samples": 3},
     }
-    return SamplingSection(**(values | changes))
+    return STRATEGIES.chosen(values | changes)
 
 
 def held(seed: int = 0) -> Data:
@@ -61,7 +63,7 @@ def setting(section: SamplingSection) -> Setting:
     return Setting(describe().model_copy(update=changes), LAYOUT, ALGORITHM)
 
 
-def matched(section: SamplingSection) -> RankMatched:
+def matched(section: CorrectionSection) -> RankMatched:
     distance = create_distance(section.distance, setting(section))
     assert isinstance(distance, Matching)
     return RankMatched(section, BATCH, distance)
@@ -91,7 +93,7 @@ def one_update(sampler: Any, seed: int) -> Draws:
 
 
 def plain_distances(
-    section: SamplingSection, state: State, data: Data, candidates: Any, online: Any, noise: Draws
+    section: CorrectionSection, state: State, data: Data, candidates: Any, online: Any, noise: Draws
 ) -> np.ndarray:
     """d(s', s'*) one candidate at a time."""
     bcq = references.Bcq(S, A, (16, 16))
@@ -135,7 +137,7 @@ def plain_distances(
     return references.value_distance(values, matched_values, section.normaliser)
 
 
-@pytest.mark.parametrize(("distance", "normaliser", "replace", "exclude"), STRATEGIES)
+@pytest.mark.parametrize(("distance", "normaliser", "replace", "exclude"), CHOICES)
 @pytest.mark.parametrize("matching", ["minibatch", "exact"])
 def test_otc_chooses_what_plain_loops_choose(
     matching: str, distance: str, normaliser: str, replace: bool, exclude: bool

@@ -8,18 +8,18 @@ unlike the rank of Eq. 3, it does no harm where nothing has to be corrected.
 import torch
 from torch import Tensor
 
-from otc_dist.description import SamplingSection
 from otc_dist.otc.acceptance.weighted import Weighted
+from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.distances.interface import Distance
 from otc_dist.otc.samplers import Extent, Sampler
 
 
-def create(distance: Distance, settings: SamplingSection, batch_size: int) -> Sampler:
+def create(distance: Distance, settings: CorrectionSection, batch_size: int) -> Sampler:
     """Rows by their p-value among the scores of D_k, which was held out from what judges it."""
     return Weighted(settings, batch_size, distance, weights, exclude_self=True)
 
 
-def weights(settings: SamplingSection, scores: Tensor, extent: Extent) -> Tensor:
+def weights(settings: CorrectionSection, scores: Tensor, extent: Extent) -> Tensor:
     """min(1, p / level) (size,), with p = (1 + #{held out >= score}) / (1 + |D_k|)."""
     held_out = scores[extent.newest :].sort().values
     below = torch.searchsorted(held_out, scores)  # how many are smaller

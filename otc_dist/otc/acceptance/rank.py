@@ -13,16 +13,17 @@ from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import State
-from otc_dist.description import SamplingSection
 from otc_dist.otc.alpha import Alpha
+from otc_dist.otc.correction import CorrectionSection
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Distance, Matching
 from otc_dist.otc.prioritization import prioritize
-from otc_dist.otc.samplers import Begun, Data, Extent, Gathered, Held, Indices, Sampler, Selection
+from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
 
 log = logging.getLogger(__name__)
 
 
-def create(distance: Distance, settings: SamplingSection, batch_size: int) -> Sampler:
+def create(distance: Distance, settings: CorrectionSection, batch_size: int) -> Sampler:
     """By distances within the minibatches of an update where the distance can do that and the
     description asks for it; else by scores of all of B_k, computed once a deployment.
     """
@@ -35,7 +36,7 @@ def create(distance: Distance, settings: SamplingSection, batch_size: int) -> Sa
 class _Rank(Sampler):
     """B comes from B_k with replacement, in random order: ties in the rank fall at random."""
 
-    settings: SamplingSection
+    settings: CorrectionSection
     batch_size: int
 
     @property

@@ -9,21 +9,13 @@ from torch import Tensor
 
 from otc_dist.algorithms.draws import Draws
 from otc_dist.algorithms.interface import State
-from otc_dist.description import SamplingSection
+from otc_dist.otc.correction import CorrectionSection
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Distance
-from otc_dist.otc.samplers import (
-    Begun,
-    Data,
-    Extent,
-    Gathered,
-    Held,
-    Indices,
-    Sampler,
-    Selection,
-)
+from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
 
 # From scores (size,), D_k's last, and the extent: how likely each row is accepted (size,), 0 to 1.
-Weigh = Callable[[SamplingSection, Tensor, Extent], Tensor]
+Weigh = Callable[[CorrectionSection, Tensor, Extent], Tensor]
 
 
 @dataclass(frozen=True)
@@ -36,7 +28,7 @@ class Weighted(Sampler):
         exclude_self: whether D_k is scored as if it were not there.
     """
 
-    settings: SamplingSection
+    settings: CorrectionSection
     batch_size: int
     distance: Distance
     weigh: Weigh

@@ -13,12 +13,13 @@ from torch import Tensor
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import State, action_features, unpack
 from otc_dist.algorithms.moments import moments
-from otc_dist.description import SamplingSection
 from otc_dist.engine import Engine
+from otc_dist.otc.correction import CorrectionSection, settings_of
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances.gaps import gaps
 from otc_dist.otc.distances.interface import Ids, Report, Scores, Setting
 from otc_dist.otc.distances.nearest import distances_to_newest, sampled_similarity
-from otc_dist.otc.samplers import Data, Held, Random
+from otc_dist.otc.samplers import Held, Random
 from otc_dist.transitions import RowLayout
 
 CHUNK = 65_536  # rows looked at at once
@@ -29,11 +30,11 @@ class ChangeDistance:
     """d_c of one agent, over `Changes`."""
 
     layout: RowLayout
-    settings: SamplingSection
+    settings: CorrectionSection
 
     @classmethod
     def create(cls, setting: Setting) -> "ChangeDistance":
-        return cls(setting.layout, setting.description.sampling)
+        return cls(setting.layout, settings_of(setting.description))
 
     @classmethod
     def features(cls, setting: Setting, engine: Engine) -> "Changes":

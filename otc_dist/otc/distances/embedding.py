@@ -14,13 +14,15 @@ from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws, draw, to_tensors
 from otc_dist.algorithms.interface import Batch, State, action_features, unpack
-from otc_dist.description import EmbeddingSection, SamplingSection
+from otc_dist.description import EmbeddingSection
 from otc_dist.engine import Engine
+from otc_dist.otc.correction import CorrectionSection, settings_of
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances.gaps import gaps
 from otc_dist.otc.distances.interface import Ids, Report, Scores, Setting
 from otc_dist.otc.distances.nearest import distances_to_newest, sampled_similarity
 from otc_dist.otc.embedding import Embedding, active_dimensions
-from otc_dist.otc.samplers import Data, Held, Random
+from otc_dist.otc.samplers import Held, Random
 from otc_dist.training import BLOCK, train
 from otc_dist.transitions import RowLayout
 
@@ -32,11 +34,11 @@ log = logging.getLogger(__name__)
 class EmbeddingDistance:
     """d_e of one agent, over the embeddings that `Data.features` holds."""
 
-    settings: SamplingSection
+    settings: CorrectionSection
 
     @classmethod
     def create(cls, setting: Setting) -> "EmbeddingDistance":
-        return cls(setting.description.sampling)
+        return cls(settings_of(setting.description))
 
     @classmethod
     def features(cls, setting: Setting, engine: Engine) -> "Embedder":

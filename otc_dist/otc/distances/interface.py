@@ -12,7 +12,8 @@ from torch import Tensor
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Critic, State
 from otc_dist.description import Description
-from otc_dist.otc.samplers import Data, Held, Random
+from otc_dist.otc.data import Data
+from otc_dist.otc.samplers import Held, Random
 from otc_dist.transitions import RowLayout
 
 Report = Callable[[int, dict[str, float]], None]  # updates done, and their mean metrics

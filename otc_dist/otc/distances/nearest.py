@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from otc_dist.description import SamplingSection
+from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.distances.interface import Ids
 from otc_dist.otc.samplers import Held
 
@@ -35,7 +35,7 @@ def distances_to_newest(
 
 
 def sampled_similarity(
-    held: Held, compare: Compare, settings: SamplingSection
+    held: Held, compare: Compare, settings: CorrectionSection
 ) -> tuple[float, float]:
     """𝔻_k: the mean distance over a sample of B_k, matched against all of D_k.
 

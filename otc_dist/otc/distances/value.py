@@ -8,9 +8,10 @@ from torch import Tensor
 
 from otc_dist.algorithms.draws import Draw, Draws, draw, to_tensors
 from otc_dist.algorithms.interface import Batch, Critic, State, unpack
-from otc_dist.description import NormaliserName, SamplingSection
+from otc_dist.otc.correction import CorrectionSection, NormaliserName, settings_of
+from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Ids, Scores, Setting
-from otc_dist.otc.samplers import Data, Held
+from otc_dist.otc.samplers import Held
 from otc_dist.transitions import RowLayout
 
 GUARD = 1e-2  # a normaliser below this many standard deviations is replaced
@@ -24,12 +25,12 @@ class ValueDistance:
 
     critic: Critic
     layout: RowLayout
-    settings: SamplingSection
+    settings: CorrectionSection
 
     @classmethod
     def create(cls, setting: Setting) -> "ValueDistance":
         assert setting.critic is not None  # a description without a Q does not ask for d_q
-        return cls(setting.critic, setting.layout, setting.description.sampling)
+        return cls(setting.critic, setting.layout, settings_of(setting.description))
 
     def noise(self, candidates: int) -> dict[str, Draw]:
         return dict(self.critic.value_noise(candidates, self.settings.value_samples))

@@ -1,0 +1,185 @@
+"""What a description chooses by name: algorithms and sampling strategies.
+
+Each is a class in a file of its own, which says all that there is to say of it: its settings are
+its `Section`. A new one is such a file, and a line here. One that is not of this package is named
+`module:Class`, and is loaded only where that was allowed (`user_code`): else its settings are read
+as they stand, and nothing runs.
+"""
+
+from collections.abc import Iterator
+from functools import cache
+from importlib import import_module
+from typing import Any, Generic, Literal, TypeVar
+
+from pydantic import ConfigDict, Field
+from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
+
+from otc_dist import user_code
+from otc_dist.description.algorithms import AlgorithmSection
+from otc_dist.description.sampling import ALWAYS, SamplingSection
+from otc_dist.description.section import Section
+from otc_dist.errors import UserError
+from otc_dist.names import is_code
+
+S = TypeVar("S", bound=Section)
+
+
+class Kind(Generic[S]):
+    """The choices of one kind; the first is chosen where a description names none.
+
+    Args:
+        base: what their sections are made from.
+        places: name -> `module:Class`.
+    """
+
+    def __init__(self, base: type[S], places: dict[str, str]) -> None:
+        self._base, self._places = base, places
+        # Settings of what is not loaded: any, as they stand.
+        self._unread: type[S] = type(
+            f"Unread{base.__name__}",
+            (base,),
+            {"__module__": __name__, "model_config": ConfigDict(extra="allow")},
+        )
+
+    def __iter__(self) -> Iterator[str]:
+        """The names of those in this package."""
+        return iter(self._places)
+
+    def find(self, name: str) -> Any:
+        """The class of that name; what it offers is a matter of its kind.
+
+        Raises:
+            UserError: it is code that is not allowed, cannot be loaded, or has no such `Section`.
+        """
+        if name not in self._places:
+            return _outside(name, self._base)
+        module, _, attribute = self._places[name].partition(":")
+        return getattr(import_module(module), attribute)
+
+    def section(self, name: str) -> type[S]:
+        """The section of that name; that of code that is not allowed takes any settings."""
+        if is_code(name) and not user_code.allowed(name):
+            return self._unread
+        section: type[S] = self.find(name).Section
+        return section if "name" in section.model_fields else _named(section, name)
+
+    def is_read(self, section: S) -> bool:
+        """Whether all is known of a section: that of code may have been read as it stands."""
+        return not isinstance(section, self._unread)
+
+    def chosen(self, data: object) -> S:
+        """The section that a description holds, from its settings.
+
+        Raises:
+            ValidationError, UserError: it names nothing that is known, or has a wrong setting.
+        """
+        if isinstance(data, self._base):
+            return data
+        if not isinstance(data, dict):
+            raise _mistake("model_type", (), data, {"class_name": self._base.__name__})
+        name = self._name(data)
+        if not isinstance(name, str) or not (name in self._places or is_code(name)):
+            expected = ", ".join(map(repr, self))
+            problem = PydanticCustomError("literal_error", "unknown", {"expected": expected})
+            raise _mistake(problem, ("name",), name)
+        return self._made(self.section(name), {**data, "name": name})
+
+    def keys(self, data: object) -> list[str]:
+        """The settings that may stand in a section, by the name in it."""
+        return list(self.section(str(self._name(data))).model_fields)
+
+    def _name(self, data: object) -> object:
+        first = next(iter(self))
+        return data.get("name", first) if isinstance(data, dict) else first
+
+    def _made(self, section: type[S], data: dict[str, object]) -> S:
+        return section.model_validate(data)
+
+
+class Strategies(Kind[SamplingSection]):
+    """Sampling strategies, each of which keeps the settings of the others beside its own."""
+
+    def settings(self) -> dict[str, type[SamplingSection]]:
+        """Setting -> the section in this package that has it."""
+        sections = [self.section(name) for name in self]
+        return {key: one for one in reversed(sections) for key in one.model_fields}
+
+    def keys(self, data: object) -> list[str]:
+        """Those of all strategies may stand beside its own."""
+        return [*super().keys(data), *self.settings()]
+
+    def _made(self, section: type[SamplingSection], data: dict[str, object]) -> SamplingSection:
+        own, beside = dict(data), {}
+        for key, other in self.settings().items():
+            if key == "name" or key in section.model_fields:
+                continue
+            given = {key: own.pop(key)} if key in own else {}
+            value = getattr(other.model_validate(given), key)
+            if key in ALWAYS or value != other.model_fields[key].get_default():
+                beside[key] = value
+        if beside.get("online_share"):
+            raise ValueError(
+                f"sampling.online_share is for 'otc' and 'uniform': {data['name']} chooses its"
+                " online data itself"
+            )
+        return section.model_validate(own).with_others(beside)
+
+
+ALGORITHMS = Kind(
+    AlgorithmSection,
+    {
+        "bcq": "otc_dist.algorithms.bcq:Bcq",
+        "awac": "otc_dist.algorithms.awac:Awac",
+        "cql": "otc_dist.algorithms.cql:Cql",
+        "discrete-cql": "otc_dist.algorithms.discrete_cql:DiscreteCql",
+        "td3bc": "otc_dist.algorithms.td3bc:Td3Bc",
+        "bremen": "otc_dist.algorithms.bremen:Bremen",
+    },
+)
+STRATEGIES = Strategies(
+    SamplingSection,
+    {
+        "otc": "otc_dist.otc.correction:Correction",
+        "uniform": "otc_dist.otc.uniform:Uniform",
+        "online-only": "otc_dist.otc.online_only:OnlineOnly",
+        "balanced": "otc_dist.otc.balanced:Balanced",
+    },
+)
+
+
+def _mistake(
+    problem: Any, place: tuple[str, ...], given: object, context: dict[str, object] | None = None
+) -> ValidationError:
+    """A mistake at a place within a section, as pydantic tells those that it finds."""
+    details = InitErrorDetails(type=problem, loc=place, input=given, ctx=context or {})
+    return ValidationError.from_exception_data("section", [details])
+
+
+def _outside(reference: str, base: type[Section]) -> Any:
+    """The class of the user's own that `module:Class` names."""
+    try:
+        found = user_code.found(reference)
+    except UserError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever the user's code raises
+        raise UserError(f"{reference} cannot be loaded: {user_code.described(error)}") from error
+    section = getattr(found, "Section", None)
+    if not (isinstance(section, type) and issubclass(section, base)):
+        raise UserError(f"{reference} has no Section made from {base.__name__}")
+    return found
+
+
+@cache
+def _named(section: type[S], reference: str) -> type[S]:
+    """The section with a name of its own: how it was named is how it is found again."""
+    made: type[S] = type(
+        section.__name__,
+        (section,),
+        {
+            "__annotations__": {"name": Literal[reference]},
+            "name": Field(default=reference),
+            "__module__": section.__module__,
+            "__doc__": section.__doc__,
+        },
+    )
+    return made

@@ -1,0 +1,150 @@
+"""An algorithm and a sampling strategy of the user's own, each one class in a file of theirs."""
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from otc_dist import checkpoint, user_code
+from otc_dist.description import Description
+from otc_dist.description.kinds import STRATEGIES
+from otc_dist.errors import UserError
+from otc_dist.inputs import Digests
+from otc_dist.launch import descriptions
+from otc_dist.launch.run_command import main
+from otc_dist.replay.__main__ import main as replay
+from otc_dist.run_folder import RunFolder
+
+from .. import toys
+from .conftest import Launcher
+
+CHOSEN = ("algorithm.name=toys:Cloning", "sampling.name=toys:Recent")
+SET = (*CHOSEN, "algorithm.rate=0.05", "sampling.span=500", "sampling.alpha=0.5")
+
+
+@pytest.fixture(scope="module")
+def ended(
+    tmp_path_factory: pytest.TempPathFactory, tiny_flags: tuple[str, ...]
+) -> tuple[RunFolder, Launcher]:
+    """A run of both, started from the folder that holds their module."""
+    place = tmp_path_factory.mktemp("own")
+    shutil.copy(toys.__file__, place / "toys.py")
+    flags = [flag for text in (*SET, "deployment.updates=0") for flag in ("--set", text)]
+    launcher = Launcher("navigation", *tiny_flags, *flags, "--out", "run", cwd=place)
+    assert launcher.finish() == 0, launcher.text
+    return RunFolder(place / "run"), launcher
+
+
+@pytest.fixture
+def stranger(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is allowed, and nothing of theirs can be imported."""
+    monkeypatch.setattr(user_code, "_allowed", set())
+
+
+def test_both_run_through_the_launcher(ended: tuple[RunFolder, Launcher]) -> None:
+    folder, _ = ended
+    arrays, _ = checkpoint.read(folder.checkpoint("agent_0", 2))
+    assert {"algorithm.weight", "algorithm.sampler_seen"} <= set(arrays)
+    assert arrays["algorithm.sampler_seen"] == 2
+    assert arrays["algorithm.updates"] == 60 + 2 * toys.CloningSection.tuning_updates
+    first, _ = checkpoint.read(folder.checkpoint("agent_0", 0))
+    assert (arrays["algorithm.weight"] != first["algorithm.weight"]).any()
+    noted: Digests = json.loads(folder.run_json.read_text())["inputs"]
+    assert {f"code of {text.partition('=')[2]}: toys.py" for text in CHOSEN} <= set(noted)
+
+
+def test_their_settings_are_part_of_the_description(
+    ended: tuple[RunFolder, Launcher], stranger: None
+) -> None:
+    folder, _ = ended
+    text = tomllib.loads(folder.description.read_text())
+    assert (text["sampling"]["span"], text["algorithm"]["rate"]) == (500, 0.05)
+    unread = Description.load(folder.description)
+    assert unread.to_toml() == folder.description.read_text()
+    assert unread.digest() == json.loads(folder.run_json.read_text())["description"]
+    assert unread.with_assignments("sampling.name=otc").sampling.model_dump()["alpha"] == 0.5
+
+
+def test_a_new_strategy_of_the_package_leaves_all_other_descriptions_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(toys.__file__, tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    before = descriptions.load("navigation", (), None, quick=True)
+    monkeypatch.setitem(STRATEGIES._places, "recent", "toys:Recent")  # a line of the registry
+    after = descriptions.load("navigation", (), None, quick=True)
+    assert (after.digest(), after.to_toml()) == (before.digest(), before.to_toml())
+    chosen = after.with_assignments("sampling.name=recent", "sampling.span=7")
+    back = chosen.with_assignments("sampling.name=otc")
+    assert chosen.sampling.name == "recent" and back.sampling.model_dump()["span"] == 7
+
+
+def test_a_learner_does_not_go_on_with_another_version_of_them(
+    ended: tuple[RunFolder, Launcher],
+) -> None:
+    folder, _ = ended
+    source = folder.root.parent / "toys.py"
+    before = source.read_text()
+    source.write_text(before + "# changed\n")
+    command = [sys.executable, "-m", "otc_dist.services.learner", "--run", "run"]
+    try:
+        again = subprocess.run(
+            [*command, "--agent", "agent_0"], cwd=source.parent, capture_output=True, text=True
+        )
+    finally:
+        source.write_text(before)
+    assert again.returncode == 2
+    assert again.stderr == (
+        "error: toys.py, of toys:Cloning, is another than when the run began: restore it, or start"
+        " a new run\n"
+    )
+
+
+def test_reading_what_names_them_loads_nothing(
+    ended: tuple[RunFolder, Launcher], stranger: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = str(ended[0].deployment(1))
+    replay([log])
+    assert "toys" not in user_code._brought
+    capsys.readouterr()
+    replay([log, "--verify"])
+    assert "--allow toys:Cloning" in capsys.readouterr().out
+    with pytest.raises(UserError, match="--allow toys:Cloning"):
+        replay([log, "--publish", "--learners", "--run", str(ended[0].root.parent / "again")])
+
+
+def test_what_its_code_raises_is_one_line(tiny_flags: tuple[str, ...], tmp_path: Path) -> None:
+    text = Path(toys.__file__).read_text().replace("slope = imitated", "slope = batch.nothing")
+    (tmp_path / "toys.py").write_text(text)
+    flags = [flag for text in SET for flag in ("--set", text)]
+    launcher = Launcher("navigation", *tiny_flags, *flags, "--out", "run", cwd=tmp_path)
+    assert launcher.finish() == 2
+    said = [line for line in launcher.lines if "toys:Cloning or toys:Recent failed" in line]
+    assert "AttributeError" in said[0] and f"{tmp_path}/toys.py:" in said[0]
+    assert "Traceback" not in launcher.text
+
+
+MISTAKES = {
+    "algorithm.name=toys:Nothing": "toys:Nothing cannot be loaded: AttributeError",
+    "algorithm.name=nowhere:Cloning": "there is no module nowhere; start from the folder",
+    "algorithm.name=toys:Recent": "toys:Recent has no Section made from AlgorithmSection",
+    "sampling.name=toys:Recent,sampling.spam=1": "did you mean 'sampling.span'?",
+    "sampling.name=toys:Recent,sampling.span=0": "sampling.span: input should be greater than",
+    "sampling.name=toys:Recent,sampling.online_share=0.5": "chooses its online data itself",
+}
+
+
+@pytest.mark.parametrize(("given", "expected"), MISTAKES.items())
+def test_a_mistake_in_one_is_one_line(
+    given: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(toys.__file__, tmp_path / "toys.py")
+    monkeypatch.syspath_prepend(tmp_path)
+    flags = [flag for text in given.split(",") for flag in ("--set", text)]
+    with pytest.raises(UserError) as refused:
+        main(["navigation", "--quick", "--dry-run", *flags])
+    assert expected in str(refused.value) and "\n" not in str(refused.value)
