@@ -16,6 +16,7 @@ from otc_dist.errors import UserError
 from otc_dist.inputs import Digests
 from otc_dist.launch import descriptions
 from otc_dist.launch.run_command import main
+from otc_dist.policy import Policy
 from otc_dist.replay.__main__ import main as replay
 from otc_dist.run_folder import RunFolder
 
@@ -40,9 +41,11 @@ def ended(
 
 
 @pytest.fixture
-def stranger(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is allowed, and nothing of theirs can be imported."""
+def stranger(ended: tuple[RunFolder, Launcher], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their module could be imported and is not; nothing is allowed."""
     monkeypatch.setattr(user_code, "_allowed", set())
+    monkeypatch.delitem(sys.modules, "toys", raising=False)
+    monkeypatch.syspath_prepend(ended[0].root.parent)
 
 
 def test_both_run_through_the_launcher(ended: tuple[RunFolder, Launcher]) -> None:
@@ -109,12 +112,16 @@ def test_reading_what_names_them_loads_nothing(
 ) -> None:
     log = str(ended[0].deployment(1))
     replay([log])
-    assert "toys" not in user_code._brought
     capsys.readouterr()
     replay([log, "--verify"])
     assert "--allow toys:Cloning" in capsys.readouterr().out
     with pytest.raises(UserError, match="--allow toys:Cloning"):
         replay([log, "--publish", "--learners", "--run", str(ended[0].root.parent / "again")])
+    with pytest.raises(UserError, match="allow='toys:Cloning'"):
+        Policy.load(ended[0].root, deployment=1)
+    assert "toys" not in sys.modules
+    replay([log, "--verify", "--allow", "toys:Cloning"])
+    assert "toys" in sys.modules and "--allow" not in capsys.readouterr().out
 
 
 def test_what_its_code_raises_is_one_line(tiny_flags: tuple[str, ...], tmp_path: Path) -> None:
