@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal, Self
 
@@ -19,15 +18,14 @@ from otc_dist.errors import UserError
 from otc_dist.names import Name
 from otc_dist.processor import kind
 from otc_dist.run_folder import RunFolder
+from otc_dist.versions import PACKAGES, of_packages
 
 from . import products
 from .place import Place
 
 # "reporting": all is done but the report. "finished" is the last thing that is written.
 State = Literal["running", "stopped", "failed", "reporting", "finished"]
-# What can change a run's bits. A run goes on only with the versions that it began with.
 LOCK = ".lock"  # held by the launcher that is at work, the first file of a run folder
-PACKAGES = ("torch", "mujoco", "numpy", "scipy", "eclipse-zenoh", "mcap")
 
 
 @dataclass(frozen=True)
@@ -71,14 +69,13 @@ class RunRecord:
 
 
 def versions() -> dict[str, str]:
-    """Package -> version of everything that a run's bits depend on."""
-    found = {"python": platform.python_version(), "otc-dist": __version__}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+    """Package -> version of everything that a run's bits depend on: it goes on only with these."""
+    return {
+        "python": platform.python_version(),
+        "otc-dist": __version__,
+        **dict.fromkeys(PACKAGES, "not installed"),
+        **of_packages(*PACKAGES),
+    }
 
 
 def _now() -> str:

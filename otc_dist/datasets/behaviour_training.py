@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import torch
 from safetensors.numpy import save
@@ -29,6 +28,7 @@ from otc_dist.errors import run_main
 from otc_dist.parser import Parser
 from otc_dist.randomness import derive_seed, stream
 from otc_dist.transitions import Float64
+from otc_dist.versions import of_packages
 
 CANDIDATES = 8  # the last iterations, among which the medium policy is chosen
 
@@ -191,11 +191,7 @@ def write(name: str, seed: int, history: History, out: Path) -> None:
         "medium_level": task.medium,
         "command": f"python -m otc_dist.datasets.behaviour_training {name} --seed {seed}",
         "seed": seed,
-        "versions": {
-            "mujoco": mujoco.__version__,
-            "numpy": np.__version__,
-            "torch": torch.__version__,
-        },
+        "versions": of_packages("mujoco", "numpy", "torch"),
         "date": datetime.now(UTC).date().isoformat(),
         "snapshots": rows,
     }

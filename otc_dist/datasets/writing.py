@@ -10,10 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
-
-import numpy as np
 
 import otc_dist
 from otc_dist import durable, locks
@@ -31,6 +28,7 @@ from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.kernel import thread_times
 from otc_dist.transitions import Float64
+from otc_dist.versions import of_packages
 
 _LOCK = ".lock"
 _STAGING = ".making-"  # a set that is being written; never read
@@ -57,8 +55,7 @@ def versions(*packages: str) -> dict[str, str]:
     """Versions of ourselves, NumPy and `packages`, for cards and headers."""
     return {
         "otc_dist": otc_dist.__version__,
-        "numpy": np.__version__,
-        **{package: version(package) for package in packages},
+        **of_packages("numpy", *packages),
     }
 
 
@@ -170,7 +167,7 @@ def _write(
             versions=made.versions,
         )
         path = folder / f"{agent.name}.safetensors"
-        _write_file(path, encode(header, data.of_agent(index), data.episodes))
+        durable.write(path, encode(header, data.of_agent(index), data.episodes))
         files[agent.name] = AgentFile.of(path, agent.observation_size, agent.action_size)
     card = DatasetCard(
         name=str(name),
@@ -188,7 +185,7 @@ def _write(
         versions=made.versions,
         files=files,
     )
-    _write_file(folder / FILE_NAME, card.to_json().encode())
+    durable.write(folder / FILE_NAME, card.to_json().encode())
     return card
 
 
@@ -200,13 +197,6 @@ def add_file(path: Path, content: bytes) -> None:
     """
     with _disk_errors(path.parent):
         durable.write(path, content)
-
-
-def _write_file(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 @contextmanager

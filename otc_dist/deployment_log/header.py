@@ -5,7 +5,6 @@ import json
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated
 
@@ -22,23 +21,17 @@ from otc_dist.errors import UserError
 from otc_dist.names import Name
 from otc_dist.records import why
 from otc_dist.spec import TeamSpec, check_team
-
-_RECORDED_PACKAGES = ("mujoco", "numpy", "mcap", "msgpack", "torch", "eclipse-zenoh")
+from otc_dist.versions import PACKAGES, of_packages
 
 
 def versions() -> dict[str, str]:
     """Versions of otc_dist, Python, the machine's architecture and the packages that matter."""
-    found = {
+    return {
         "otc_dist": otc_dist.__version__,
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
+        **of_packages(*PACKAGES),
     }
-    for package in _RECORDED_PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
 
 
 @dataclass(frozen=True)
