@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from otc_dist import inputs, records
+from otc_dist import durable, inputs, records
 from otc_dist.comparison.arms import ANALYSES, Arms, describe, offline_files
 from otc_dist.comparison.scores import OFFLINE, ComparisonFolder, write_json
 from otc_dist.datasets import store
@@ -43,7 +43,7 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
         elif any(path.name != ".lock" for path in folder.root.iterdir()):
             raise UserError(f"{folder.root} holds something else; use another --out")
         else:
-            folder.description.write_text(base.to_toml(), encoding="utf-8")
+            durable.write(folder.description, base.to_toml().encode())
         try:
             note_inputs(folder, base)
             yield

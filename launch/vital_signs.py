@@ -1,15 +1,15 @@
 """supervision.json: how each process of a run is, for whoever asks while it runs."""
 
-import contextlib
 import json
 import os
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
-from otc_dist import records
+from otc_dist import durable, records
 from otc_dist.run_folder import RunFolder
 
 from .board import Board
@@ -69,7 +69,7 @@ class VitalSigns:
         return self
 
     def __exit__(self, *failure: object) -> None:
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             self._path.unlink(missing_ok=True)
 
     def write(self, board: Board) -> None:
@@ -96,7 +96,6 @@ class VitalSigns:
             )
         written = datetime.now(UTC).isoformat(timespec="milliseconds")
         supervision = Supervision(os.getpid(), written, board.seconds_left, states)
-        partial = self._path.with_suffix(".json.partial")
-        with contextlib.suppress(OSError):
-            partial.write_text(json.dumps(asdict(supervision)) + "\n", encoding="utf-8")
-            partial.replace(self._path)
+        content = (json.dumps(asdict(supervision)) + "\n").encode()
+        with suppress(OSError), durable.writing(self._path, lasting=False) as file:
+            file.write(content)

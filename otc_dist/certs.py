@@ -20,6 +20,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from otc_dist import durable
 from otc_dist.bus.access import router_rules
 from otc_dist.bus.addresses import HOST_FORM, is_host
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
@@ -265,11 +266,7 @@ def _write(folder: Path, contents: dict[str, bytes]) -> None:
     """Files that only their owner can read."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     for name, content in contents.items():
-        partial = folder / f"{name}.partial"
-        handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        partial.replace(folder / name)
+        durable.write(folder / name, content, mode=0o600)
 
 
 def command_line() -> Parser:

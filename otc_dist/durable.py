@@ -3,34 +3,59 @@
 import errno
 import logging
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from typing import BinaryIO
 
 log = logging.getLogger(__name__)
 
 
-def write(path: Path, content: bytes) -> None:
+def write(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Replace `path` in one step, on the disk: a crash leaves the old file or the new one.
 
     Folders are made. Once this has returned, a power cut takes nothing of it.
+
+    Args:
+        mode: who may read and write it, less the process's umask.
 
     Raises:
         OSError: it cannot be written; what was there before still is.
     """
     make_folder(path.parent)
-    unfinished = path.with_name(f"{path.name}.partial")
+    with writing(path, mode=mode) as file:
+        file.write(content)
+
+
+@contextmanager
+def writing(
+    path: Path, suffix: str = ".partial", *, mode: int = 0o666, lasting: bool = True
+) -> Iterator[BinaryIO]:
+    """A file that becomes `path` when the block ends well, and is removed when it does not.
+
+    Args:
+        suffix: what its name ends in until then.
+        mode: see `write`.
+        lasting: no power cut takes anything of it; otherwise only a crash does not.
+
+    Raises:
+        OSError: see `write`.
+    """
+    unfinished = path.with_name(path.name + suffix)
     try:
-        with unfinished.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
+        with open(unfinished, "wb", opener=lambda at, flags: os.open(at, flags, mode)) as file:
+            yield file
+            if lasting:
+                file.flush()
+                os.fsync(file.fileno())
         unfinished.replace(path)
-    except OSError:
+    except BaseException:
         with suppress(OSError):
             unfinished.unlink()
         raise
-    sync(path.parent)
+    if lasting:
+        sync(path.parent)
 
 
 def make_folder(path: Path) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
+from otc_dist import durable
 from otc_dist.comparison import charts, tables
 from otc_dist.comparison.arms import REFERENCE, Arms
 from otc_dist.comparison.conclusion import ENOUGH
@@ -33,7 +34,7 @@ def write(
     }
     write_json(folder.results, facts)
     try:
-        folder.report.write_text(page(base, arms, summary, runs, label), encoding="utf-8")
+        durable.write(folder.report, page(base, arms, summary, runs, label).encode())
     except OSError as error:
         raise UserError(f"cannot write {folder.report}: {error.strerror}") from None
 

@@ -2,7 +2,6 @@
 
 import json
 import logging
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -43,35 +42,27 @@ def write_finished(
     Raises:
         OSError: the disk is full, ...: nothing is left behind.
     """
-    temporary, binding = path.with_name(path.name + ".new"), header.binding
-    try:
-        with temporary.open("wb") as stream:
-            writer = Writer(
-                stream,
-                chunk_size=fmt.CHUNK_SIZE,
-                compression=CompressionType.ZSTD,
-                enable_data_crcs=True,
-            )
-            begin(writer, header)
-            ranges: list[list[int]] = []
-            written = _write(writer, blocks(), ranges)
-            episodes = find_episodes(written, len(header.team.agents))
-            _add_pictures(writer, header, blocks(), path)
-            writer.add_metadata(fmt.POLICIES, seal(policies, binding))
-            writer.add_metadata(fmt.EPISODES, seal({"episodes": to_json(episodes)}, binding))
-            if len(ranges) > 1 or (ranges and ranges[0][0] > 0):
-                writer.add_metadata(fmt.RANGES, seal({"ranges": json.dumps(ranges)}, binding))
-            if recovered_from is not None:
-                told = _told(ranges, header, recovered_from)
-                writer.add_metadata(fmt.RECOVERED, seal(told, binding))
-            writer.finish()  # type: ignore[no-untyped-call]
-            stream.flush()
-            os.fsync(stream.fileno())
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    temporary.rename(path)
-    durable.sync(path.parent)
+    binding = header.binding
+    with durable.writing(path, ".new") as stream:
+        writer = Writer(
+            stream,
+            chunk_size=fmt.CHUNK_SIZE,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        begin(writer, header)
+        ranges: list[list[int]] = []
+        written = _write(writer, blocks(), ranges)
+        episodes = find_episodes(written, len(header.team.agents))
+        _add_pictures(writer, header, blocks(), path)
+        writer.add_metadata(fmt.POLICIES, seal(policies, binding))
+        writer.add_metadata(fmt.EPISODES, seal({"episodes": to_json(episodes)}, binding))
+        if len(ranges) > 1 or (ranges and ranges[0][0] > 0):
+            writer.add_metadata(fmt.RANGES, seal({"ranges": json.dumps(ranges)}, binding))
+        if recovered_from is not None:
+            told = _told(ranges, header, recovered_from)
+            writer.add_metadata(fmt.RECOVERED, seal(told, binding))
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _told(ranges: list[list[int]], header: LogHeader, source: Source) -> dict[str, str]:

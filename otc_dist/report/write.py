@@ -3,9 +3,9 @@
 import errno
 import logging
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 
+from otc_dist import durable
 from otc_dist.errors import UserError
 from otc_dist.report.results import results, to_json
 from otc_dist.report.run_data import read_run
@@ -46,11 +46,7 @@ def write_report(folder: RunFolder) -> Path:
 
 def _write(contents: Mapping[Path, str]) -> None:
     for path, text in contents.items():
-        partial = path.with_name(path.name + ".partial")
         try:
-            partial.write_text(text, encoding="utf-8")
-            partial.replace(path)
+            durable.write(path, text.encode())
         except OSError as error:
-            with suppress(OSError):
-                partial.unlink(missing_ok=True)
             raise OSError(error.errno, error.strerror, str(path)) from None
