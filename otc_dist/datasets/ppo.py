@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from otc_dist.algorithms.advantages import generalised_advantages
 from otc_dist.datasets.behaviour import OBSERVATION_CLIP
 from otc_dist.datasets.ppo_models import Tensors, actor_critic
 from otc_dist.envs.base import BatchedEnv, Contest
@@ -182,15 +183,10 @@ class Trainer:
 
     def _advantages(self, batch: Batch) -> Tensor:
         """Generalised advantage estimates, (horizon, copies)."""
-        settings = self.settings
-        advantages = torch.empty_like(batch.rewards)
-        running, next_value = torch.zeros_like(batch.last_value), batch.last_value
-        for t in reversed(range(settings.horizon)):
-            going = 1.0 - batch.ends[t]
-            delta = batch.rewards[t] + settings.gamma * next_value * going - batch.values[t]
-            running = delta + settings.gamma * settings.gae_lambda * going * running
-            advantages[t], next_value = running, batch.values[t]
-        return advantages
+        settings, values = self.settings, torch.cat((batch.values, batch.last_value[None]))
+        return generalised_advantages(
+            batch.rewards, batch.ends, values, settings.gamma, settings.gae_lambda
+        )
 
     def update(self, batch: Batch) -> None:
         """Several epochs of clipped policy and value updates on one batch."""
