@@ -9,7 +9,7 @@ import os
 from dataclasses import dataclass, replace
 
 from otc_dist.description import Description
-from otc_dist.description.distances import DISTANCES
+from otc_dist.description.distances import DISTANCES, facts_of
 from otc_dist.envs import registry
 from otc_dist.exploration import Schedule
 from otc_dist.spec import TeamSpec
@@ -36,7 +36,7 @@ def offline(description: Description) -> float:
 def fit(description: Description) -> Part:
     """Seconds of one core for what one agent's distance fits to B_0; 0 where it fits nothing."""
     compared = description.sampling.compared
-    facts = DISTANCES[compared] if compared else None
+    facts = facts_of(compared) if compared else None
     if facts is None or facts.fits is None:
         return Part("offline", 0, 0.0)
     updates = {

@@ -12,7 +12,7 @@ from pathlib import Path
 from otc_dist.bus.keys import HOST, Keys, Uses
 from otc_dist.datasets import store
 from otc_dist.description import DeploymentSection, Description
-from otc_dist.description.distances import DISTANCES
+from otc_dist.description.distances import facts_of
 from otc_dist.envs import registry
 from otc_dist.exploration import Schedule
 from otc_dist.run_folder import RunFolder
@@ -129,7 +129,7 @@ class Plan:
         begins = f"{d.offline.updates:,} offline updates to pi_0"
         yield f"work         {'pi_0 of another run' if d.offline.policies else begins}"
         if forecast.fit(d).seconds and (compared := d.sampling.compared):
-            facts = DISTANCES[compared]
+            facts = facts_of(compared)
             yield f"             and what {facts.title} fits to B_0 ({facts.fits})"
         rounds = Schedule.of(d, len(self.spec.agents)).rounds
         cost = f" an agent, who explore in turn: x {rounds}" if rounds > 1 else ""

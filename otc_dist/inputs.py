@@ -9,7 +9,6 @@ from otc_dist import user_code
 from otc_dist.datasets import store
 from otc_dist.datasets.card import file_sha256
 from otc_dist.description import Description
-from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
 from otc_dist.envs import own_sources, registry
 from otc_dist.errors import UserError
 from otc_dist.names import is_code
@@ -30,18 +29,17 @@ def sources(description: Description) -> dict[str, str]:
 
 
 def code(description: Description) -> dict[str, str]:
-    """The files of an algorithm and of a sampling strategy of the user's own.
+    """The files of an algorithm, and of what sampling is made of, of the user's own.
 
     Raises:
         UserError: one cannot be loaded.
     """
     found: dict[str, str] = {}
-    for kind, section in ((ALGORITHMS, description.algorithm), (STRATEGIES, description.sampling)):
-        if is_code(reference := section.name):
-            kind.find(reference)
-            loaded = user_code.brought(reference)
-            files = own_sources.digests(reference.partition(":")[0], loaded)
-            found |= {f"{_CODE}{reference}: {path}": digest for path, digest in files.items()}
+    for reference in filter(is_code, description.parts):
+        user_code.named(reference)
+        loaded = user_code.brought(reference)
+        files = own_sources.digests(reference.partition(":")[0], loaded)
+        found |= {f"{_CODE}{reference}: {path}": digest for path, digest in files.items()}
     return found
 
 

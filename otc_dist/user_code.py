@@ -15,6 +15,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from otc_dist.errors import UserError
 from otc_dist.names import is_code
@@ -69,6 +70,26 @@ def found(reference: str) -> Callable[..., object]:
         ) from None
     _brought.setdefault(reference, frozenset(sys.modules) - before)
     return named
+
+
+def named(reference: str, *, trusted: bool = False) -> Any:
+    """What `module:Name` names; what it offers is a matter of who asks.
+
+    Args:
+        trusted: whether it is of this package, which needs to be allowed by nobody.
+
+    Raises:
+        UserError: it is not allowed, or cannot be loaded; one line.
+    """
+    if trusted:
+        module, _, attribute = reference.partition(":")
+        return getattr(importlib.import_module(module), attribute)
+    try:
+        return found(reference)
+    except UserError:
+        raise
+    except (Exception, SystemExit) as error:  # whatever the user's code raises
+        raise UserError(f"{reference} cannot be loaded: {described(error)}") from error
 
 
 def brought(reference: str) -> frozenset[str]:

@@ -1,5 +1,5 @@
-"""An algorithm and a sampling strategy of a user's own: a module that knows the package and is none
-of it. Tests copy it to where a user would have it.
+"""One of a user's own of each kind that a description can choose: a module that knows the package
+and is none of it. Tests copy it to where a user would have it.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,11 @@ from torch import Tensor
 from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import Batch, State
 from otc_dist.description.algorithms import AlgorithmSection
+from otc_dist.description.distances import DistanceFacts
 from otc_dist.description.sampling import SamplingSection
+from otc_dist.otc.acceptance.weighted import Weighted
+from otc_dist.otc.correction import CorrectionSection
+from otc_dist.otc.distances.interface import Distance, Scores, Setting
 from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
 
 
@@ -84,3 +88,26 @@ class Recent(Sampler):
 
     def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
         return Selection(draws["batch"], draws["batch"])
+
+
+@dataclass(frozen=True)
+class Late:
+    """A distance: the later in B_k, the nearer."""
+
+    facts: ClassVar[DistanceFacts] = DistanceFacts("toys:Late", "late", "how long ago it was")
+
+    @classmethod
+    def create(cls, setting: Setting) -> "Late":
+        return cls()
+
+    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+        return Scores(-torch.arange(held.extent.size).float())
+
+
+def half(distance: Distance, settings: CorrectionSection, batch_size: int) -> Sampler:
+    """A rule of acceptance: the nearer half."""
+    return Weighted(settings, batch_size, distance, _nearer)
+
+
+def _nearer(settings: CorrectionSection, scores: Tensor, extent: Extent) -> Tensor:
+    return (scores <= scores.median()).float()

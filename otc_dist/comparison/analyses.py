@@ -23,7 +23,7 @@ from otc_dist.datasets.joint import JointTransitions
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.learner import Learner
-from otc_dist.otc.acceptance import ACCEPTANCES
+from otc_dist.otc.acceptance import acceptance
 from otc_dist.otc.correction import settings_of
 from otc_dist.otc.distances.interface import Scores
 from otc_dist.otc.mixing import ImitatingAll
@@ -120,7 +120,7 @@ class _Oracle:
         self._distances = [_Known() for _ in self._agents]
 
     def sampler(self, agent: int) -> Sampler:
-        accept = ACCEPTANCES[self._settings.acceptance]
+        accept = acceptance(self._settings.acceptance)
         chosen = accept(self._distances[agent], self._settings, self._batch)
         return ImitatingAll(chosen, self._batch)
 

@@ -153,6 +153,8 @@ def restored(
         sampler = analysis.sampler(index) if analysis is not None else None
         learner = _learner(description, agent, sampler=sampler)
         learner.load(files.checkpoint(agent, 0))
+        if learner.tuned < 0:  # pi_0 was trained without what a distance of the user's own fits
+            learner.pretrain(lambda progress: None, lambda: None)
         learners.append(learner)
     return learners
 

@@ -31,7 +31,7 @@ from otc_dist.description.sections import (
     OfflineSection,
 )
 from otc_dist.errors import UserError
-from otc_dist.names import Name
+from otc_dist.names import Name, is_code
 
 # What a summary speaks of.
 TOLD = (
@@ -184,8 +184,8 @@ class Description(Section):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """The names of what learns: of the algorithm and of the sampling strategy."""
-        return self.algorithm.name, self.sampling.name
+        """The names of what learns: of the algorithm, and of what sampling is made of."""
+        return self.algorithm.name, *self.sampling.code
 
     def trusted(self) -> Self:
         """A copy that is to be run: the code that it names is loaded, and its settings are checked.
@@ -194,8 +194,7 @@ class Description(Section):
             UserError: it cannot be loaded, or has other settings.
         """
         user_code.allow(*self.code)
-        read = ALGORITHMS.is_read(self.algorithm) and STRATEGIES.is_read(self.sampling)
-        return self if read else self.with_assignments()
+        return self.with_assignments() if any(map(is_code, self.parts)) else self
 
     def progress(self, deployment: int) -> float:
         """The share of the deployments gone in deployment and evaluation k, from 0 to 1."""

@@ -5,6 +5,8 @@ A new distance is a file in `otc_dist/otc/distances/` and an entry here.
 
 from dataclasses import dataclass, field
 
+from otc_dist import user_code
+
 
 @dataclass(frozen=True)
 class DistanceFacts:
@@ -96,3 +98,14 @@ DISTANCES: dict[str, DistanceFacts] = {
         "a random number a deployment: the control of all others",
     ),
 }
+
+
+def facts_of(name: str) -> DistanceFacts:
+    """What is known of a distance. One of the user's own says it in `facts`, if it does, and only
+    where it may be loaded.
+    """
+    if name in DISTANCES:
+        return DISTANCES[name]
+    found = user_code.named(name) if user_code.allowed(name) else None
+    facts: DistanceFacts = getattr(found, "facts", DistanceFacts(name, name, "a user's own"))
+    return facts

@@ -8,7 +8,6 @@ as they stand, and nothing runs.
 
 from collections.abc import Iterator
 from functools import cache
-from importlib import import_module
 from typing import Any, Generic, Literal, TypeVar
 
 from pydantic import ConfigDict, Field
@@ -53,8 +52,7 @@ class Kind(Generic[S]):
         """
         if name not in self._places:
             return _outside(name, self._base)
-        module, _, attribute = self._places[name].partition(":")
-        return getattr(import_module(module), attribute)
+        return user_code.named(self._places[name], trusted=True)
 
     def section(self, name: str) -> type[S]:
         """The section of that name; that of code that is not allowed takes any settings."""
@@ -62,10 +60,6 @@ class Kind(Generic[S]):
             return self._unread
         section: type[S] = self.find(name).Section
         return section if "name" in section.model_fields else _named(section, name)
-
-    def is_read(self, section: S) -> bool:
-        """Whether all is known of a section: that of code may have been read as it stands."""
-        return not isinstance(section, self._unread)
 
     def chosen(self, data: object) -> S:
         """The section that a description holds, from its settings.
@@ -157,12 +151,7 @@ def _mistake(
 
 def _outside(reference: str, base: type[Section]) -> Any:
     """The class of the user's own that `module:Class` names."""
-    try:
-        found = user_code.found(reference)
-    except UserError:
-        raise
-    except (Exception, SystemExit) as error:  # whatever the user's code raises
-        raise UserError(f"{reference} cannot be loaded: {user_code.described(error)}") from error
+    found = user_code.named(reference)
     section = getattr(found, "Section", None)
     if not (isinstance(section, type) and issubclass(section, base)):
         raise UserError(f"{reference} has no Section made from {base.__name__}")

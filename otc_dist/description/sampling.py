@@ -57,6 +57,11 @@ class SamplingSection(Section):
     _beside: dict[str, object] = PrivateAttr(default_factory=dict)
 
     @property
+    def code(self) -> tuple[str, ...]:
+        """What of it may name code of the user's own."""
+        return (self.name,)
+
+    @property
     def compared(self) -> str | None:
         """The distance that it uses; None: none."""
         return None

@@ -7,16 +7,17 @@ of them go together.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from otc_dist.description.algorithms import AlgorithmSection
-from otc_dist.description.distances import DISTANCES
+from otc_dist.description.distances import DISTANCES, facts_of
 from otc_dist.description.kinds import STRATEGIES
 from otc_dist.description.sampling import Arm, Cost, SamplingSection
+from otc_dist.names import is_code
 from otc_dist.otc.mixing import ImitatingAll, with_online
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from otc_dist.otc.distances.interface import Setting
     from otc_dist.otc.samplers import Sampler
 
-AcceptanceName = Literal["rank", "share", "conformal"]
 NormaliserName = Literal["relative", "shared", "paper"]
 
 _RANK = ("sampling.name=otc", "sampling.acceptance=rank")
@@ -32,16 +32,29 @@ _SHARE = ("sampling.name=otc", "sampling.acceptance=share", "sampling.share=0.1"
 _PAPER = ("sampling.corrects=all", "sampling.normaliser=paper", "sampling.with_replacement=true")
 
 
-def _known_distance(name: str) -> str:
-    if name not in DISTANCES:
-        expected = ", ".join(map(repr, DISTANCES))
-        raise PydanticCustomError(
-            "literal_error", "must be one of {expected}", {"expected": expected}
-        )
-    return name
+ACCEPTANCES = {
+    "rank": "otc_dist.otc.acceptance.rank:create",
+    "share": "otc_dist.otc.acceptance.share:create",
+    "conformal": "otc_dist.otc.acceptance.conformal:create",
+}
 
 
-DistanceName = Annotated[str, AfterValidator(_known_distance)]
+def _one_of(known: Iterable[str]) -> AfterValidator:
+    """One of those, or code of the user's own."""
+
+    def check(name: str) -> str:
+        if name not in known and not is_code(name):
+            expected = ", ".join(map(repr, known))
+            raise PydanticCustomError(
+                "literal_error", "must be one of {expected}", {"expected": expected}
+            )
+        return name
+
+    return AfterValidator(check)
+
+
+DistanceName = Annotated[str, _one_of(DISTANCES)]
+AcceptanceName = Annotated[str, _one_of(ACCEPTANCES)]
 
 
 def of(distance: str, *assignments: str) -> tuple[str, ...]:
@@ -145,21 +158,25 @@ class CorrectionSection(SamplingSection):
         return self.matching == "minibatch" or self.distance == "value"
 
     @property
+    def code(self) -> tuple[str, ...]:
+        return self.name, self.distance, self.acceptance
+
+    @property
     def compared(self) -> str:
         return self.distance
 
     @property
     def title(self) -> str:
-        return f"OTC, {DISTANCES[self.distance].title} by {self.acceptance}"
+        return f"OTC, {facts_of(self.distance).title} by {self.acceptance}"
 
     @property
     def cost(self) -> Cost:
-        facts = DISTANCES[self.distance]
+        facts = facts_of(self.distance)
         within = self.acceptance == "rank" and self.matches_minibatches
         return Cost(update=facts.selection) if within else Cost(scoring=facts.scoring)
 
     def check(self, algorithm: AlgorithmSection, deployed: int) -> None:
-        if DISTANCES[self.distance].needs_q and not algorithm.has_q:
+        if facts_of(self.distance).needs_q and not algorithm.has_q:
             raise ValueError(
                 f"sampling.distance = {self.distance!r} needs a Q, and"
                 f" {algorithm.name} has none; use 'embedding'"
@@ -197,12 +214,12 @@ class Correction:
     @classmethod
     def create(cls, settings: CorrectionSection, setting: Setting, capacity: int) -> Sampler:
         # These have torch.
-        from otc_dist.otc.acceptance import ACCEPTANCES
+        from otc_dist.otc.acceptance import acceptance
         from otc_dist.otc.distances import create_distance
 
         def chosen(count: int) -> Sampler:
             distance = create_distance(settings.distance, setting)
-            return ACCEPTANCES[settings.acceptance](distance, settings, count)
+            return acceptance(settings.acceptance)(distance, settings, count)
 
         batch = setting.description.algorithm.batch_size
         sampler = with_online(chosen, settings.online_share, batch)

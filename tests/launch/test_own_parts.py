@@ -16,11 +16,13 @@ from otc_dist.errors import UserError
 from otc_dist.inputs import Digests
 from otc_dist.launch import descriptions
 from otc_dist.launch.run_command import main
+from otc_dist.learner import Learner, Progress
 from otc_dist.policy import Policy
 from otc_dist.replay.__main__ import main as replay
 from otc_dist.run_folder import RunFolder
 
 from .. import toys
+from ..brains import SPEC, brain, describe, online, silent, transitions, unsaved
 from .conftest import Launcher
 
 CHOSEN = ("algorithm.name=toys:Cloning", "sampling.name=toys:Recent")
@@ -70,6 +72,22 @@ def test_their_settings_are_part_of_the_description(
     assert unread.to_toml() == folder.description.read_text()
     assert unread.digest() == json.loads(folder.run_json.read_text())["description"]
     assert unread.with_assignments("sampling.name=otc").sampling.model_dump()["alpha"] == 0.5
+
+
+def test_a_distance_and_a_rule_of_acceptance_may_be_theirs_as_well(stranger: None) -> None:
+    own = ("sampling.distance=toys:Late", "sampling.acceptance=toys:half")
+    with pytest.raises(UserError, match="--allow toys:Late"):
+        brain(*own)
+    assert describe(*own).heading.endswith("OTC, toys:Late by toys:half")
+    described = describe(*own).trusted()
+    assert described.heading.endswith("OTC, late by toys:half")
+    learner = Learner(described, SPEC, transitions(0, 200))
+    learner.pretrain(silent, unsaved)
+    told: list[Progress] = []
+    learner.tune(1, online(1), told.append)
+    assert told[0].metrics["accepted"] == 0.5
+    with pytest.raises(UserError, match="toys:Nothing cannot be loaded"):
+        describe("sampling.distance=toys:Nothing").trusted()
 
 
 def test_a_new_strategy_of_the_package_leaves_all_other_descriptions_as_they_are(

@@ -7,7 +7,8 @@ import pytest
 import torch
 from scipy import stats
 
-from otc_dist.otc.acceptance import ACCEPTANCES, conformal, share
+from otc_dist.otc.acceptance import acceptance as rule
+from otc_dist.otc.acceptance import conformal, share
 from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Scores
@@ -36,7 +37,7 @@ class Given:
 def drawn(acceptance: str, scores: np.ndarray, **settings: Any) -> np.ndarray:
     """How often each row is drawn in 2,000 batches."""
     section = CorrectionSection(acceptance=acceptance, **settings)
-    sampler = ACCEPTANCES[acceptance](Given(scores), section, BATCH)
+    sampler = rule(acceptance)(Given(scores), section, BATCH)
     rows = torch.zeros(1200, 3)
     random = np.random.default_rng(0)
     begun = sampler.begin(held_by({}, Data(rows, rows[:, :0]), EXTENT, random))

@@ -1,14 +1,23 @@
-"""The rules by which transitions are accepted, given their distances: one file each."""
+"""The rules by which transitions are accepted, given their distances: one file each.
+
+`otc_dist/otc/correction.py` lists them.
+"""
 
 from collections.abc import Callable
 
-from otc_dist.otc.acceptance import conformal, rank, share
-from otc_dist.otc.correction import CorrectionSection
+from otc_dist import user_code
+from otc_dist.otc.correction import ACCEPTANCES, CorrectionSection
 from otc_dist.otc.distances.interface import Distance
 from otc_dist.otc.samplers import Sampler
 
-ACCEPTANCES: dict[str, Callable[[Distance, CorrectionSection, int], Sampler]] = {
-    "rank": rank.create,
-    "share": share.create,
-    "conformal": conformal.create,
-}
+Accept = Callable[[Distance, CorrectionSection, int], Sampler]  # for batches of that size
+
+
+def acceptance(name: str) -> Accept:
+    """The rule of that name.
+
+    Raises:
+        UserError: it is code of the user's own that is not allowed, or cannot be loaded.
+    """
+    accept: Accept = user_code.named(ACCEPTANCES.get(name, name), trusted=name in ACCEPTANCES)
+    return accept
