@@ -28,8 +28,30 @@ def all_finite(numbers: Float32) -> bool:
         return math.isfinite(numbers.sum(dtype=np.float64))
 
 
+class Joint:
+    """Transitions of a whole team: tuples are indexed by agent, arrays by transition."""
+
+    observations: tuple[Float32, ...]  # N x (T, observation_size)
+    actions: tuple[Float32, ...]  # N x (T, action_size)
+    rewards: tuple[Float32, ...]  # N x (T,)
+    next_observations: tuple[Float32, ...]  # N x (T, observation_size), the true successors s'
+    terminated: Bool  # (T,)
+    truncated: Bool  # (T,)
+
+    def of_agent(self, index: int) -> "Transitions":
+        """What agent `index` may see: its own transitions, and nothing of the others."""
+        return Transitions(
+            self.observations[index],
+            self.actions[index],
+            self.rewards[index],
+            self.next_observations[index],
+            self.terminated,
+            self.truncated,
+        )
+
+
 @dataclass(frozen=True)
-class JointStep:
+class JointStep(Joint):
     """One lock-step of E environment copies and N agents, as the env host sees and logs it.
 
     Tuples are indexed by agent, arrays by environment copy. `next_observations` are the true
@@ -46,17 +68,6 @@ class JointStep:
     exploring: tuple[bool, ...]  # N: behaviour tag, True where the agent explored
     episode_seeds: NDArray[np.int64]  # (E,) seed of the episode that this step belongs to
     state: Float64  # (E, state_size) simulator state before the step
-
-    def of_agent(self, index: int) -> "Transitions":
-        """The E transitions that agent `index` may see: its own, and nothing of the others."""
-        return Transitions(
-            self.observations[index],
-            self.actions[index],
-            self.rewards[index],
-            self.next_observations[index],
-            self.terminated,
-            self.truncated,
-        )
 
 
 @dataclass(frozen=True)

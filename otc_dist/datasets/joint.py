@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.transitions import Bool, Float32, JointStep, Transitions
+from otc_dist.transitions import Bool, Float32, Joint, JointStep
 
 
 @dataclass(frozen=True)
-class JointTransitions:
+class JointTransitions(Joint):
     """T transitions of a whole team. Tuples are indexed by agent, arrays by transition.
 
     The rows of one episode stand in the order of time; rows of several episodes may interleave.
@@ -28,17 +28,6 @@ class JointTransitions:
 
     def __len__(self) -> int:
         return len(self.episodes)
-
-    def of_agent(self, index: int) -> Transitions:
-        """What agent `index` may see: its own transitions, and nothing of the others."""
-        return Transitions(
-            self.observations[index],
-            self.actions[index],
-            self.rewards[index],
-            self.next_observations[index],
-            self.terminated,
-            self.truncated,
-        )
 
     def __getitem__(self, rows: NDArray[np.int64]) -> "JointTransitions":
         """The transitions of these numbers."""
