@@ -9,7 +9,7 @@ from pathlib import Path
 
 from otc_dist.bus.messages import Status
 from otc_dist.parser import Parser
-from otc_dist.printable import say
+from otc_dist.printable import aligned, say
 from otc_dist.run_folder import RunFolder
 
 from . import forecast, run_record
@@ -110,12 +110,11 @@ def _table(processes: Mapping[str, ProcessState], width: int) -> Iterator[str]:
         del columns["restarts"]
     for spare in ("", "pid", "restarts", "health"):
         columns.pop(spare, None)
-        widths = [max(map(len, (name, *cells))) for name, cells in columns.items()]
-        if sum(widths) + 2 * (len(widths) - 1) <= width:
+        lines = aligned([tuple(columns), *zip(*columns.values(), strict=True)])
+        if max(map(len, lines)) <= width:
             break
     ends = ["", *(state.last_end for state in states)]
-    rows = [tuple(columns), *zip(*columns.values(), strict=True)]
-    for row, end in zip(rows, ends, strict=True):
-        yield "  ".join(map(str.ljust, row, widths)).rstrip()
+    for line, end in zip(lines, ends, strict=True):
+        yield line
         if end:
             yield f"  its last end: {end}"

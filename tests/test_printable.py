@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.printable import on_page, printable, say
+from otc_dist.printable import aligned, on_page, printable, say
 
 # Clear the screen, go up, set a title, C1's form of an escape, backspaces, a new line, delete;
 # right-to-left, zero width, a line separator, half of a pair, a byte of a name that is no UTF-8.
@@ -32,6 +32,12 @@ def test_lines_stay_where_they_are_ours() -> None:
 
 def test_a_page_keeps_lines_and_shows_the_rest() -> None:
     assert on_page("a\n\t<b>\x1b[0m\x00\u202e") == "a\n\t&lt;b&gt;\\x1b[0m\\x00\\u202e"
+
+
+def test_a_tables_columns_are_aligned_as_they_are_shown() -> None:
+    rows = [("name", "n"), ("a\x1b", "10")]
+    assert aligned(rows) == ["name   n", "a\\x1b  10"]
+    assert aligned(rows, str.rjust) == ["name    n", "a\\x1b  10"]
 
 
 @pytest.mark.parametrize("module", ["replay", "report", "launch.status", "datasets import"])

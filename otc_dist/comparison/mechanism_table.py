@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from otc_dist.comparison.scores import read_json
-from otc_dist.comparison.tables import aligned
 from otc_dist.errors import UserError
+from otc_dist.printable import aligned
 
 UNIFORM = "uniform, other minibatches"
 ORACLE = "oracle: the mismatch itself"
@@ -91,7 +91,7 @@ class Mechanism:
             if not all(math.isnan(estimate.mean) for estimate in estimates):
                 told[title] = [str(estimate) for estimate in estimates]
         columns = {"selected by": [row.name for row in self.rows], **told}
-        yield from aligned([list(columns), *map(list, zip(*columns.values(), strict=True))])
+        yield from aligned([list(columns), *zip(*columns.values(), strict=True)], str.rjust)
 
 
 def read(paths: Sequence[Path]) -> Mechanism:

@@ -8,6 +8,7 @@ from otc_dist.comparison.intervals import RESAMPLES, Spread
 from otc_dist.comparison.judgement import MEAN, RECOMMENDED, WORST
 from otc_dist.comparison.scores import Run
 from otc_dist.comparison.statistics import Arm, Judged, Summary
+from otc_dist.printable import aligned
 
 TITLES = {
     "return": "return of the greedy team",
@@ -122,17 +123,6 @@ def spread(found: Spread) -> str:
     return f"{found.mean:,.1f}{deviation}"
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Lines: the first column to the left, the others to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        first, *others = (
-            cell.rjust(width) if i else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        yield "  ".join([first, *others]).rstrip()
-
-
 def processors(runs: Mapping[str, Sequence[Run]]) -> str:
     """Those that the runs were made on: on another one the same run differs by chance."""
     found = {run.processor for of_arm in runs.values() for run in of_arm}
@@ -143,14 +133,14 @@ def text(summary: Summary) -> Iterator[str]:
     """The whole summary, line by line."""
     for measure in measures(summary):
         yield f"\n{TITLES[measure]}, mean ± std over seeds"
-        yield from aligned(list(measure_rows(summary, measure)))
+        yield from aligned(measure_rows(summary, measure), str.rjust)
     yield f"\n{METHOD};\npaired differences are over the seeds that both sides have"
     if RECOMMENDED in judged(summary):
         yield f"\n{GAIN}"
-        yield from aligned(list(gain_rows(summary)))
+        yield from aligned(gain_rows(summary), str.rjust)
     for name in judged(summary):
         yield f"\n{JUDGED_TITLES[name]}"
-        yield from aligned(list(difference_rows(summary, name)))
+        yield from aligned(difference_rows(summary, name), str.rjust)
     if any(one.share is not None for arm in summary.arms for one in arm.judged.values()):
         yield SHARE
     yield f"\n{summary.conclusion}"

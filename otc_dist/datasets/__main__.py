@@ -1,7 +1,6 @@
 """The command `python -m otc_dist.datasets`: list, make, show and import data sets."""
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
 from otc_dist import progress, user_code
@@ -12,7 +11,7 @@ from otc_dist.datasets.importers import import_files
 from otc_dist.datasets.names import DatasetName, known_names
 from otc_dist.errors import UserError, run_main
 from otc_dist.parser import Parser
-from otc_dist.printable import printable, say
+from otc_dist.printable import aligned, say
 
 DESCRIPTION = """\
 Offline data sets B_0: one file an agent, with only that agent's <s, a_i, r, s'>.
@@ -143,7 +142,7 @@ def _list() -> None:
                 f"{sum(file.stat().st_size for file in files) / 1e6:.1f}" if sizes else "-",
             )
         )
-    say(*_table(rows))
+    say(*aligned(rows))
 
 
 def _cached(name: str, transitions: int) -> DatasetCard:
@@ -189,7 +188,7 @@ def describe(card: DatasetCard) -> list[str]:
         sizes = f"observation {file.observation_size}, action {file.action_size}"
         rows.append((agent, f"{file.bytes / 1e6:.1f} MB, {sizes}"))
         rows.append(("", f"sha256 {file.sha256}"))
-    return _table(rows)
+    return aligned(rows)
 
 
 def _summary(summary: Summary | None) -> str:
@@ -197,15 +196,6 @@ def _summary(summary: Summary | None) -> str:
         return "not known"
     low, high = f"{summary.minimum:.1f}", f"{summary.maximum:.1f}"
     return f"mean {summary.mean:.1f}, std {summary.std:.1f}, from {low} to {high}"
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    rows = [tuple(map(printable, row)) for row in rows]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
 
 
 if __name__ == "__main__":
