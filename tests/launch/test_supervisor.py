@@ -168,6 +168,7 @@ def test_a_terminal_that_vanishes_ends_what_it_started_in_order_unless_hangups_a
     """The kernel sends SIGHUP to who leads the session, as for a launcher typed into `ssh -t`."""
     pid, terminal = pty.fork()
     if pid == 0:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests themselves may be run by nohup
         command = _python(HANGS_UP, FAMILY, fifo.path, how, str(tmp_path / "stopped"))
         os.execv(command[0], command)
     fifo.wait_for(2)
