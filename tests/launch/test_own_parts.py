@@ -104,6 +104,28 @@ def test_a_new_strategy_of_the_package_leaves_all_other_descriptions_as_they_are
     assert chosen.sampling.name == "recent" and back.sampling.model_dump()["span"] == 7
 
 
+HOST = """
+import sys
+from pathlib import Path
+from otc_dist import inputs
+from otc_dist.services import env_host
+run = env_host.Run.open(Path("run"))
+run.check(inputs.sources(run.description))
+print(run.description.sampling.name, "toys" in sys.modules, "torch" in sys.modules)
+"""
+
+
+def test_the_env_host_loads_neither_them_nor_torch(ended: tuple[RunFolder, Launcher]) -> None:
+    told = subprocess.run(
+        [sys.executable, "-c", HOST],
+        cwd=ended[0].root.parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert told.stdout == "toys:Recent False False\n"
+
+
 def test_a_learner_does_not_go_on_with_another_version_of_them(
     ended: tuple[RunFolder, Launcher],
 ) -> None:
