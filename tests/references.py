@@ -155,12 +155,8 @@ class Bcq:
         actor_loss = -self.critics[0](s, self.perturbed(self.actor, s, sampled)).mean()
         step(self.actor_adam, actor_loss)
 
-        with torch.no_grad():
-            online = [*self.critics, self.actor]
-            targets = [*self.target_critics, self.target_actor]
-            for network, target in zip(online, targets, strict=True):
-                for p, q_ in zip(network.parameters(), target.parameters(), strict=True):
-                    q_.copy_(self.tau * p + (1 - self.tau) * q_)
+        targets = [*self.target_critics, self.target_actor]
+        follow([*self.critics, self.actor], targets, self.tau)
         return [x.item() for x in (vae_loss, critic_loss, actor_loss, y.mean())]
 
 
@@ -211,6 +207,14 @@ def step(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
     optimizer.zero_grad()
     loss.backward()
     optimizer.step()
+
+
+def follow(networks: Sequence[Network], targets: Sequence[Network], tau: float) -> None:
+    """Polyak averaging."""
+    with torch.no_grad():
+        for network, target in zip(networks, targets, strict=True):
+            for p, average in zip(network.parameters(), target.parameters(), strict=True):
+                average.copy_(tau * p + (1 - tau) * average)
 
 
 def nearest_l1(queries: Float, references: Float) -> Float:

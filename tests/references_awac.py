@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 from torch.distributions import Independent, Normal
 
-from .references import Network, Standardised, get_flat, set_flat, step
-from .references_cql import follow
+from .references import Network, Standardised, follow, get_flat, set_flat, step
 
 
 @dataclass

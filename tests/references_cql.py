@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
-from .references import Network, Standardised, get_flat, set_flat, step
+from .references import Network, Standardised, follow, get_flat, set_flat, step
 
 
 @dataclass
@@ -113,14 +113,6 @@ class Cql(Standardised):
         follow(self.critics, self.target_critics, self.tau)
         critic_loss = sum(loss.item() for loss in critic_losses)
         return [critic_loss, actor_loss.item(), temperature.item(), y.mean().item()]
-
-
-def follow(networks: Sequence[Network], targets: Sequence[Network], tau: float) -> None:
-    """Polyak averaging."""
-    with torch.no_grad():
-        for network, target in zip(networks, targets, strict=True):
-            for p, average in zip(network.parameters(), target.parameters(), strict=True):
-                average.copy_(tau * p + (1 - tau) * average)
 
 
 @dataclass

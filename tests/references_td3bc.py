@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from .references import Network, Standardised, get_flat, set_flat, step
-from .references_cql import follow
+from .references import Network, Standardised, follow, get_flat, set_flat, step
 
 
 @dataclass
