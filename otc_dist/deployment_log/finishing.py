@@ -17,6 +17,7 @@ from otc_dist.deployment_log.format import DamagedLogError, seal
 from otc_dist.deployment_log.foxglove import FoxgloveChannels
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.record import CHANNEL_ID, PAYLOAD_START, Rows
+from otc_dist.deployment_log.schema import payload_schema
 
 log = logging.getLogger(__name__)
 
@@ -117,7 +118,7 @@ def begin(writer: Writer, header: LogHeader) -> None:
     layout = header.layout()
     writer.start(fmt.PROFILE, f"otc_dist {otc_dist.__version__}, mcap-python {mcap.__version__}")
     writer.add_metadata(fmt.HEADER, entries)
-    schema = writer.register_schema(fmt.SCHEMA, "jsonschema", layout.schema())
+    schema = writer.register_schema(fmt.SCHEMA, "jsonschema", payload_schema(layout))
     channel = writer.register_channel(fmt.TOPIC, "msgpack", schema, metadata=entries)
     if channel != CHANNEL_ID:
         raise RuntimeError(f"the channel's id is {channel}, not {CHANNEL_ID}")

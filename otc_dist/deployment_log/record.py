@@ -4,12 +4,11 @@ Sizes are fixed by the team and the number of copies, so every record of a log h
 length. Writing one is copying arrays into a template; reading many is a view of the bytes as
 structured rows; and finding the next record after damage is a search for the same few bytes.
 
-The payload is the map of `schema()`. Its last field is the CRC-32 of all the bytes before that
-field's 5 bytes (0xce and the checksum, big-endian), begun with the log's binding: neither a torn or
-flipped record nor one of another log passes.
+The payload is the map of `payload_schema`. Its last field is the CRC-32 of all the bytes before
+that field's 5 bytes (0xce and the checksum, big-endian), begun with the log's binding: neither a
+torn or flipped record nor one of another log passes.
 """
 
-import json
 import struct
 import zlib
 from collections.abc import Iterator
@@ -37,7 +36,7 @@ _CHECKSUM = struct.Struct(">I")
 _UINT32 = b"\xce"  # msgpack's marker; always this width, so that the length never varies
 _FALSE = 0xC2  # msgpack's false; true is one more
 
-_PER_AGENT = ("observations", "actions", "rewards", "next_observations")
+PER_AGENT = ("observations", "actions", "rewards", "next_observations")
 
 Rows = NDArray[np.void]  # structured; one row a step, fields as in `RecordLayout.dtype`
 
@@ -54,7 +53,7 @@ class RecordLayout:
 
     def __init__(self, team: TeamSpec, copies: int, binding: int) -> None:
         self.team, self.copies, self.binding = team, copies, binding
-        self._shapes: dict[str, list[tuple[int, ...]]] = {
+        self.shapes: dict[str, list[tuple[int, ...]]] = {
             "observations": [(copies, agent.observation_size) for agent in team.agents],
             "actions": [(copies, agent.action_size) for agent in team.agents],
             "rewards": [(copies,) for _ in team.agents],
@@ -99,12 +98,12 @@ class RecordLayout:
             out.extend(_UINT32 + bytes(4))
             self._fields[name] = (np.dtype(">u4"), (), PAYLOAD_START + len(out) - 4)
 
-        out.extend(pack.pack_map_header(len(_PER_AGENT) + 7))
+        out.extend(pack.pack_map_header(len(PER_AGENT) + 7))
         out.extend(pack.pack("step"))
         integer("step")
-        for name in _PER_AGENT:
+        for name in PER_AGENT:
             out.extend(pack.pack(name) + pack.pack_array_header(len(self.team.agents)))
-            for agent, shape in enumerate(self._shapes[name]):
+            for agent, shape in enumerate(self.shapes[name]):
                 binary(f"{name}.{agent}", "<f4", shape)
         for name in ("terminated", "truncated"):
             out.extend(pack.pack(name))
@@ -120,65 +119,6 @@ class RecordLayout:
         out.extend(pack.pack("crc32"))
         integer("crc32")
         return out
-
-    def schema(self) -> bytes:
-        """The payload as a JSON schema. Arrays are msgpack `bin`: raw, C order, see `dtype`."""
-
-        def binary(dtype: str, shape: tuple[int, ...], text: str) -> dict[str, object]:
-            return {
-                "type": "string",
-                "contentMediaType": "application/octet-stream",
-                "dtype": dtype,
-                "shape": list(shape),
-                "description": text,
-            }
-
-        copies = (self.copies,)
-        meaning = {
-            "observations": "what the agent saw before the step",
-            "actions": "as the agent sent them",
-            "rewards": "of this step",
-            "next_observations": "the true successors, also where the episode ended",
-        }
-        properties: dict[str, object] = {"step": {"type": "integer", "description": "from 0"}}
-        for name in _PER_AGENT:
-            properties[name] = {
-                "type": "array",
-                "description": f"by agent: {meaning[name]}",
-                "prefixItems": [
-                    binary("<f4", shape, agent.name)
-                    for agent, shape in zip(self.team.agents, self._shapes[name], strict=True)
-                ],
-            }
-        properties |= {
-            "terminated": binary("|b1", copies, "by copy: the task ended here"),
-            "truncated": binary("|b1", copies, "by copy: the time limit ended the episode"),
-            "exploring": {
-                "type": "array",
-                "description": "by agent: it explored",
-                "items": {"type": "boolean"},
-            },
-            "episode_seeds": binary("<i8", copies, "by copy: seed of the step's episode"),
-            "state": binary(
-                "<f8", (self.copies, self.team.state_size), "simulator state before the step"
-            ),
-            "crc32": {
-                "type": "integer",
-                "description": "of the payload without its last 5 bytes, which are this field;"
-                " computed on from the header's `binding` where it has one",
-            },
-        }
-        return json.dumps(
-            {
-                "$schema": "https://json-schema.org/draft/2020-12/schema",
-                "title": "JointStep",
-                "description": "One lock-step of all environment copies and agents, a msgpack map."
-                " Strings with a dtype are msgpack bin: raw arrays in C order.",
-                "type": "object",
-                "properties": properties,
-                "required": list(properties),
-            }
-        ).encode()
 
     def intact(self, data: bytes | memoryview, first_step: int) -> int:
         """How many records at the start of `data` are whole, unchanged and in order of steps."""
@@ -214,7 +154,7 @@ class RecordLayout:
         """Rows as steps. Arrays are aligned and writable; those of one block share memory."""
         column = {name: np.array(rows[name]) for name in self.dtype.names or ()}
         agents = range(len(self.team.agents))
-        by_agent = [[column[f"{name}.{i}"] for i in agents] for name in _PER_AGENT]
+        by_agent = [[column[f"{name}.{i}"] for i in agents] for name in PER_AGENT]
         exploring = self.exploring(rows).tolist()
         for t, step in enumerate(column["step"].tolist()):
             observations, actions, rewards, next_observations = (
