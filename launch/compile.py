@@ -14,10 +14,11 @@ import numpy as np
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.errors import run_main
-from otc_dist.learner import Learner, Progress
+from otc_dist.learner import Learner
 from otc_dist.randomness import stream
 from otc_dist.run_folder import RunFolder
 from otc_dist.spec import AgentSpec
+from otc_dist.trainer import Progress
 from otc_dist.transitions import Transitions
 
 ROWS = 256  # of made-up data

@@ -61,6 +61,11 @@ def parts(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Arrays]:
     return found
 
 
+def joined(states: Mapping[str, Mapping[str, NDArray[np.generic]]]) -> Arrays:
+    """The inverse of `parts`."""
+    return {f"{part}.{key}": x for part, state in states.items() for key, x in state.items()}
+
+
 def write(path: Path, arrays: Mapping[str, NDArray[np.generic]], progressed: Progressed) -> None:
     """Write atomically: a crash leaves the old file or the new one.
 
@@ -100,19 +105,21 @@ def read(path: Path) -> tuple[Arrays, Progressed]:
     return arrays, records.from_json(Progressed, json.dumps(about), f"the checkpoint {path}")
 
 
-def check_fits(path: Path, found: Progressed, mine: Progressed) -> None:
-    """Refuse a checkpoint that is not `mine` to go on from.
+def read_own(path: Path, mine: Progressed) -> tuple[dict[str, Arrays], Progressed]:
+    """Read a checkpoint, by `parts`, that is `mine` to go on from.
 
     One of offline training fits every description that differs only in how it tunes.
 
     Raises:
-        UserError: another agent's, or of another description.
+        UserError: as `read`, another agent's, or of another description.
     """
+    arrays, found = read(path)
     if found.agent != mine.agent:
         raise UserError(f"the checkpoint {path} is {found.agent}'s, not {mine.agent}'s")
     same_run = found.tuned <= 0 or found.run_digest == mine.run_digest
     if found.offline_digest != mine.offline_digest or not same_run:
         raise UserError(f"the checkpoint {path} was made by another description; use its own")
+    return parts(arrays), found
 
 
 def _seal(arrays: Mapping[str, NDArray[np.generic]], about: Mapping[str, object]) -> str:

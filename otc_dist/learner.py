@@ -12,17 +12,15 @@ Everything random is keyed by (seed, agent, purpose, deployment, step or block o
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from otc_dist import checkpoint
 from otc_dist.actor import ActingPhase, Actor
 from otc_dist.algorithms import create
-from otc_dist.algorithms.draws import to_tensors
+from otc_dist.algorithms.draws import to_arrays, to_tensors
 from otc_dist.algorithms.interface import Algorithm, Critic, State, unpack
 from otc_dist.description import Description
 from otc_dist.engine import Engine, resolve
@@ -35,24 +33,10 @@ from otc_dist.otc.offline import offline_sampler, prepared
 from otc_dist.otc.samplers import Begun, Held, Sampler
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec, Task
-from otc_dist.trainer import Phase, Trainer, improvements
+from otc_dist.trainer import Phase, Progress, Report, Trainer, fused_update, improvements
 from otc_dist.transitions import Float32, RowLayout, Transitions
 
 SAVE_EVERY = 10_000  # offline updates between two checkpoints
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where training stands. Reported every 100 updates, the same in every run of a seed."""
-
-    phase: str  # "offline", what the distance fits ("embedding", "dynamics"), or "tuning"
-    deployment: int  # 0 while offline
-    update: int
-    updates: int
-    metrics: dict[str, float]  # means since the last report; tuning's first: what was measured
-
-
-Report = Callable[[Progress], None]
 
 
 class Learner:
@@ -116,12 +100,7 @@ class Learner:
         offline = unpack(self._experience.offline.cpu(), self._layout)
         initial = self._algorithm.initial_state(self._stream("initial"), offline)
         self._state: State = to_tensors(initial, self._engine.device)
-        base, layout = self._algorithm, self._layout  # equal ones are compiled once
-        step = self._engine.fuse(
-            lambda state, rows, imitated, draws: base.update(
-                state, unpack(rows, layout), unpack(imitated, layout), draws
-            )
-        )
+        step = fused_update(self._engine, self._algorithm, self._layout)
         self._offline, self._online = (
             Trainer(
                 self._algorithm,
@@ -255,13 +234,12 @@ class Learner:
 
     def policy_digest(self) -> str:
         """16 hexadecimal digits that identify the policy and all that updates it, to the bit."""
-        return checkpoint.digest(self._arrays("algorithm", self._state))
+        return checkpoint.digest(checkpoint.joined({"algorithm": to_arrays(self._state)}))
 
     def save(self, path: Path) -> None:
         """Write a checkpoint, atomically. Raises UserError if it cannot be written."""
-        arrays = self._arrays("algorithm", self._state)
-        for name, state in self._fits.states().items():
-            arrays |= self._arrays(name, state)
+        states = {"algorithm": self._state, **self._fits.states()}
+        arrays = checkpoint.joined({name: to_arrays(state) for name, state in states.items()})
         checkpoint.write(path, arrays, self._progressed())
 
     def load(self, path: Path) -> None:
@@ -271,11 +249,9 @@ class Learner:
         `pretrain` fits it.
 
         Raises:
-            UserError: missing, damaged, or not this learner's: see `checkpoint.check_fits`.
+            UserError: missing, damaged, or not this learner's: see `checkpoint.read_own`.
         """
-        arrays, found = checkpoint.read(path)
-        checkpoint.check_fits(path, found, self._progressed())
-        states = checkpoint.parts(arrays)
+        states, found = checkpoint.read_own(path, self._progressed())
         self._state = to_tensors(states["algorithm"], self._engine.device)
         self._offline_updates = found.offline_updates
         self.tuned = found.tuned
@@ -286,7 +262,7 @@ class Learner:
 
     def check(self, path: Path) -> None:
         """Whether `load` could take over a checkpoint. Raises UserError as it does."""
-        checkpoint.check_fits(path, checkpoint.read(path)[1], self._progressed())
+        checkpoint.read_own(path, self._progressed())
 
     def restore(self, online: Sequence[Transitions]) -> None:
         """After `load`: merge D_1 .. D_tuned again, in order."""
@@ -301,9 +277,7 @@ class Learner:
         Raises:
             UserError: as `load`.
         """
-        arrays, found = checkpoint.read(path)
-        checkpoint.check_fits(path, found, self._progressed())
-        earlier = checkpoint.parts(arrays)["algorithm"]
+        earlier = checkpoint.read_own(path, self._progressed())[0]["algorithm"]
         own = {name: x for name, x in self._state.items() if name.startswith("sampler_")}
         kept = {name: x for name, x in earlier.items() if not name.startswith("sampler_")}
         self._state = {**to_tensors(kept, self._engine.device), **own}
@@ -321,7 +295,3 @@ class Learner:
             alpha=self.alpha.value,
             similarity=self.alpha.similarity,
         )
-
-    @staticmethod
-    def _arrays(part: str, state: State) -> dict[str, NDArray[np.generic]]:
-        return {f"{part}.{name}": tensor.cpu().numpy() for name, tensor in state.items()}

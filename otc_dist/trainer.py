@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,20 @@ class Phase(NamedTuple):
     purpose: str  # "offline" or "tuning"
     deployment: int
     minibatch_key: int
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where training stands. Reported every 100 updates, the same in every run of a seed."""
+
+    phase: str  # "offline", what the distance fits ("embedding", "dynamics"), or "tuning"
+    deployment: int  # 0 while offline
+    update: int
+    updates: int
+    metrics: dict[str, float]  # means since the last report; tuning's first: what was measured
+
+
+Report = Callable[[Progress], None]
 
 
 class Trainer:
@@ -153,6 +168,17 @@ class Trainer:
             return {**indices, **draw(noise, wanted, count)}
 
         return draw_block
+
+
+def fused_update(engine: Engine, algorithm: Algorithm, layout: RowLayout) -> Step:
+    """The algorithm's update on packed rows, as the engine runs it: equal ones are compiled once,
+    whatever samples for them.
+    """
+    return engine.fuse(
+        lambda state, rows, imitated, draws: algorithm.update(
+            state, unpack(rows, layout), unpack(imitated, layout), draws
+        )
+    )
 
 
 def improvements(algorithm: Algorithm) -> int:

@@ -7,9 +7,7 @@ be killed at any moment: started again, it goes on where the log ends.
 import json
 import logging
 import math
-import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from otc_dist import durable, inputs
@@ -37,7 +35,7 @@ from .acting import confirmed
 from .gate import Gate
 from .history import history_of
 from .host_bus import open_bus
-from .process import FailureError, Run, check_endpoints, parser, serve
+from .process import Run, check_endpoints, parser, recording, serve
 from .resimulation import check_begun, resimulate
 
 log = logging.getLogger(__name__)
@@ -126,7 +124,7 @@ class EnvHost:
             "mean_return": mean,
             "normalised_score": registry.normalised_score(env_id, mean),
         }
-        with _recording(path, "the evaluation is played again"):
+        with recording(path, "the evaluation is played again"):
             durable.write(path, (json.dumps(result, indent=1) + "\n").encode())
         self._metrics = {"return": mean}
         if rollout.successes is not None:
@@ -152,7 +150,7 @@ class EnvHost:
         description = self._description
         env = registry.make(self._run.team.env_id, description.env.copies, description.progress(k))
         rollout = self._rollout = Rollout(env, description.seed, "deployment", k)
-        with _recording(path, "the steps recorded so far are kept"):
+        with recording(path, "the steps recorded so far are kept"):
             writer, last = self._open_log(path, k, rollout)
             try:
                 while rollout.step < self._schedule.steps:
@@ -253,18 +251,6 @@ class EnvHost:
 
 def _actions(answers: Sequence[Action]) -> list[Float32]:
     return [answer.actions for answer in answers if answer.actions is not None]
-
-
-@contextmanager
-def _recording(path: Path, kept: str) -> Iterator[None]:
-    """Turn a full disk, or one that fails, into one line; `kept` says what is not lost."""
-    try:
-        yield
-    except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        raise FailureError(
-            f"cannot write {path}: {reason}; {kept}: mend it and resume the run"
-        ) from None
 
 
 def main() -> None:

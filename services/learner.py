@@ -9,7 +9,6 @@ import logging
 from typing import TYPE_CHECKING
 
 from otc_dist import inputs, user_code
-from otc_dist.bus.handshake import agree
 from otc_dist.bus.history import History
 from otc_dist.bus.lockstep import GaveUpError, LearnerLockstep
 from otc_dist.bus.messages import Action, Observation, Status
@@ -23,11 +22,13 @@ from otc_dist.spec import AgentSpec
 
 from .gathering import Gathering
 from .judge import Judge
+from .learner_bus import open_bus
 from .metrics import MetricsFile
-from .process import FailureError, Run, check_endpoints, door_at, parser, patience, serve
+from .process import FailureError, Run, check_endpoints, parser, serve
 
 if TYPE_CHECKING:
-    from otc_dist.learner import Learner, Progress
+    from otc_dist.learner import Learner
+    from otc_dist.trainer import Progress
 
 log = logging.getLogger(__name__)
 
@@ -46,14 +47,12 @@ class LearnerService:
         self._state = Status(agent.name)
         self.heartbeat = Heartbeat(session, run.keys, agent.name, rejections, lambda: self._state)
         self._lockstep = LearnerLockstep(session, run.keys, agent, run.copies, rejections)
-        deadline = run.description.bus.answer_deadline
-        self._history = History(
-            session, run.keys, agent, run.description.env.copies, deadline, rejections
-        )
+        copies, deadline = run.description.env.copies, run.description.bus.answer_deadline
+        self._history = History(session, run.keys, agent, copies, deadline, rejections)
         schedule, index = run.schedule, run.team.index(agent.name)
         self._steps, self._own = schedule.steps, schedule.own(index)
         self._explores = [schedule.exploring(step)[index] for step in range(schedule.steps)]
-        self._gathering = Gathering(run.description.env.copies, self._own, self._history.fetch)
+        self._gathering = Gathering(copies, self._own, self._history.fetch)
         self._judge = Judge(run, agent.name, self._history.fetch)
         self._last = run.description.deployment.count  # no tuning follows what comes after it
         self._metrics = MetricsFile(self._folder.metrics(agent.name))
@@ -82,9 +81,8 @@ class LearnerService:
         """A learner with the newest sound checkpoint up to pi_newest; a fresh one if none is."""
         self._learner = self._fresh()
         paths = [self._folder.checkpoint(self._name, k) for k in range(newest, -1, -1)]
-        for path in [*paths, self._folder.offline_checkpoint(self._name)]:
-            if not path.exists():
-                continue
+        paths.append(self._folder.offline_checkpoint(self._name))
+        for path in (path for path in paths if path.exists()):
             try:
                 self._learner.load(path)
                 log.info("loaded %s", path.name)
@@ -287,17 +285,8 @@ def main() -> None:
             raise unknown("agent", arguments.agent, run.team.names)
         agent = run.team.agents[run.team.index(arguments.agent)]
         run.check(inputs.data(run.description, [agent.name]) | inputs.code(run.description))
-        there = arguments.connect
-        door = door_at(there, agent.name, arguments) if there else run.local_door
-        deadline = patience(run, arguments)
-        with Session.connect(door, run.maximum_payload, deadline) as session:
-            rejections = Rejections()
-            router = bool(run.description.bus.router)
-            if there and not router:  # the env host has let us in, so it can answer
-                deadline = run.description.bus.answer_deadline
-            waiting = Status(agent.name, "waiting")
-            with Heartbeat(session, run.keys, agent.name, rejections, lambda: waiting):
-                agree(session, run.keys, run.spec, deadline, rejections, shared=router)
+        rejections = Rejections()
+        with open_bus(run, agent.name, arguments, rejections) as session:
             told = (FailureError, GaveUpError)
             with user_code.answers_for(*run.description.parts, but=told):
                 service = LearnerService(run, agent, session, rejections)

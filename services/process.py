@@ -2,9 +2,11 @@
 
 import argparse
 import logging
+import os
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -210,3 +212,15 @@ def _stop(number: int, _: FrameType | None) -> None:
     for other in _ENDING:
         signal.signal(other, signal.SIG_IGN)  # closing is under way; it takes seconds at most
     raise _StoppedError(number)
+
+
+@contextmanager
+def recording(path: Path, kept: str) -> Iterator[None]:
+    """Turn a full disk, or one that fails, into one line; `kept` says what is not lost."""
+    try:
+        yield
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise FailureError(
+            f"cannot write {path}: {reason}; {kept}: mend it and resume the run"
+        ) from None

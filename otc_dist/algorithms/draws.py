@@ -43,6 +43,11 @@ def draw(
     return arrays
 
 
+def to_arrays(tensors: Mapping[str, Tensor]) -> dict[str, NDArray[np.generic]]:
+    """The inverse of `to_tensors`; on the CPU the arrays share the tensors' memory."""
+    return {name: tensor.cpu().numpy() for name, tensor in tensors.items()}
+
+
 def to_tensors(
     arrays: Mapping[str, NDArray[np.generic]], device: torch.device
 ) -> dict[str, Tensor]:

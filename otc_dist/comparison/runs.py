@@ -32,11 +32,12 @@ from otc_dist.envs import registry
 from otc_dist.errors import UserError
 from otc_dist.exploration import Schedule
 from otc_dist.keeping import reverted
-from otc_dist.learner import Learner, Progress
+from otc_dist.learner import Learner
 from otc_dist.measured import Measured, TooFewError, horizon
 from otc_dist.otc.samplers import Sampler
 from otc_dist.processor import processor
 from otc_dist.run_folder import RunFolder
+from otc_dist.trainer import Progress
 from otc_dist.transitions import JointStep
 
 Tell = Callable[[float, str], None]  # share of the job that is done, and where it stands
