@@ -10,60 +10,37 @@ from itertools import chain
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws
 from otc_dist.algorithms.interface import State, action_features, unpack
 from otc_dist.algorithms.moments import moments
 from otc_dist.engine import Engine
-from otc_dist.otc.correction import CorrectionSection, settings_of
-from otc_dist.otc.data import Data
+from otc_dist.otc.correction import settings_of
 from otc_dist.otc.distances.gaps import gaps
-from otc_dist.otc.distances.interface import Ids, Report, Scores, Setting
-from otc_dist.otc.distances.nearest import distances_to_newest, sampled_similarity
-from otc_dist.otc.samplers import Held, Random
+from otc_dist.otc.distances.interface import Ids, Report, Setting
+from otc_dist.otc.distances.nearest import FeatureDistance
+from otc_dist.otc.samplers import Random
 from otc_dist.transitions import RowLayout
 
 CHUNK = 65_536  # rows looked at at once
 
 
 @dataclass(frozen=True)
-class ChangeDistance:
+class ChangeDistance(FeatureDistance):
     """d_c of one agent, over `Changes`."""
 
     layout: RowLayout
-    settings: CorrectionSection
 
     @classmethod
     def create(cls, setting: Setting) -> "ChangeDistance":
-        return cls(setting.layout, settings_of(setting.description))
+        return cls(settings_of(setting.description), setting.layout)
 
     @classmethod
     def features(cls, setting: Setting, engine: Engine) -> "Changes":
         """(s, a) and s' - s of every transition."""
         return Changes(setting.layout)
 
-    def noise(self, candidates: int) -> dict[str, Draw]:
-        return {}
-
-    def gather(self, data: Data, numbers: Tensor) -> Tensor:
-        return data.features.index_select(0, numbers)
-
-    def between(
-        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, draws: Draws
-    ) -> tuple[Tensor, Tensor]:
-        far = self.compare(candidates, references, ids)
-        return far, far.new_zeros(())
-
     def compare(self, queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:
         """d_c (B,) of features (B, n) by features (D, n)."""
         return matched_l1(queries, references, matched_size(self.layout), ids)
-
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
-        numbers = torch.arange(held.extent.size, device=held.data.rows.device)
-        return Scores(distances_to_newest(held, self.compare, numbers, exclude_self=exclude_self))
-
-    def similarity(self, held: Held) -> tuple[float, float]:
-        """𝔻_k over a sample of B_k."""
-        return sampled_similarity(held, self.compare, self.settings)
 
 
 def matched_l1(queries: Tensor, references: Tensor, matched: int, ids: Ids | None = None) -> Tensor:

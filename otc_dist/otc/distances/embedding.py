@@ -12,17 +12,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws, draw, to_tensors
+from otc_dist.algorithms.draws import Draws, draw, to_tensors
 from otc_dist.algorithms.interface import Batch, State, action_features, unpack
 from otc_dist.description import EmbeddingSection
 from otc_dist.engine import Engine
-from otc_dist.otc.correction import CorrectionSection, settings_of
-from otc_dist.otc.data import Data
+from otc_dist.otc.correction import settings_of
 from otc_dist.otc.distances.gaps import gaps
-from otc_dist.otc.distances.interface import Ids, Report, Scores, Setting
-from otc_dist.otc.distances.nearest import distances_to_newest, sampled_similarity
+from otc_dist.otc.distances.interface import Ids, Report, Setting
+from otc_dist.otc.distances.nearest import FeatureDistance
 from otc_dist.otc.embedding import Embedding, active_dimensions
-from otc_dist.otc.samplers import Held, Random
+from otc_dist.otc.samplers import Random
 from otc_dist.training import BLOCK, train
 from otc_dist.transitions import RowLayout
 
@@ -31,10 +30,8 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class EmbeddingDistance:
+class EmbeddingDistance(FeatureDistance):
     """d_e of one agent, over the embeddings that `Data.features` holds."""
-
-    settings: CorrectionSection
 
     @classmethod
     def create(cls, setting: Setting) -> "EmbeddingDistance":
@@ -45,25 +42,8 @@ class EmbeddingDistance:
         """mu of every transition."""
         return Embedder(setting.description.embedding, setting.layout, engine)
 
-    def noise(self, candidates: int) -> dict[str, Draw]:
-        return {}
-
-    def gather(self, data: Data, numbers: Tensor) -> Tensor:
-        return data.features.index_select(0, numbers)
-
-    def between(
-        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, draws: Draws
-    ) -> tuple[Tensor, Tensor]:
-        near = nearest_l1(candidates, references, ids)
-        return near, near.new_zeros(())
-
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
-        numbers = torch.arange(held.extent.size, device=held.data.rows.device)
-        return Scores(distances_to_newest(held, nearest_l1, numbers, exclude_self=exclude_self))
-
-    def similarity(self, held: Held) -> tuple[float, float]:
-        """𝔻_k over a sample of B_k."""
-        return sampled_similarity(held, nearest_l1, self.settings)
+    def compare(self, queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:
+        return nearest_l1(queries, references, ids)
 
 
 def nearest_l1(queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:

@@ -1,17 +1,53 @@
 """What d_e and d_c share: all distances to D_k, in parts, and their mean over a sample of B_k."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from otc_dist.algorithms.draws import Draw, Draws
+from otc_dist.algorithms.interface import State
 from otc_dist.otc.correction import CorrectionSection
-from otc_dist.otc.distances.interface import Ids
+from otc_dist.otc.data import Data
+from otc_dist.otc.distances.interface import Ids, Scores
 from otc_dist.otc.samplers import Held
 
 PAIR_CHUNK = 256  # transitions compared with all of D_k at once
 
 Compare = Callable[[Tensor, Tensor, Ids | None], Tensor]  # (B, n), (D, n) -> (B,)
+
+
+@dataclass(frozen=True)
+class FeatureDistance(ABC):
+    """A distance between what `Data.features` holds of two transitions, and of nothing else."""
+
+    settings: CorrectionSection
+
+    @abstractmethod
+    def compare(self, queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:
+        """The distance (B,) of each of the features (B, n) to the features (D, n)."""
+
+    def noise(self, candidates: int) -> dict[str, Draw]:
+        return {}
+
+    def gather(self, data: Data, numbers: Tensor) -> Tensor:
+        return data.features.index_select(0, numbers)
+
+    def between(
+        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, draws: Draws
+    ) -> tuple[Tensor, Tensor]:
+        far = self.compare(candidates, references, ids)
+        return far, far.new_zeros(())
+
+    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+        numbers = torch.arange(held.extent.size, device=held.data.rows.device)
+        return Scores(distances_to_newest(held, self.compare, numbers, exclude_self=exclude_self))
+
+    def similarity(self, held: Held) -> tuple[float, float]:
+        """𝔻_k over a sample of B_k."""
+        return sampled_similarity(held, self.compare, self.settings)
 
 
 def distances_to_newest(
