@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from otc_dist.errors import UserError
-from otc_dist.transitions import Bool, Float32
+from otc_dist.transitions import Bool, Float32, Float64
 
 ENOUGH = 2  # episodes that an estimate and its standard error need
 
@@ -96,8 +97,14 @@ def measure(rewards: Float32, terminated: Bool, truncated: Bool, h: int) -> Meas
             f" before its end, and it holds {len(returns)}: deploy longer"
             " (deployment.transitions, env.copies), or use deployment.keep = 'last'"
         )
-    error = float(np.std(returns, ddof=1)) / math.sqrt(len(returns))
-    return Measured(float(np.mean(returns)), error, len(returns))
+    return Measured(float(np.mean(returns)), float(standard_error(returns)), len(returns))
+
+
+def standard_error(values: ArrayLike) -> Float64:
+    """Of the means over the first axis of several values, (n, ...)."""
+    array = np.asarray(values, np.float64)
+    error: Float64 = array.std(axis=0, ddof=1) / math.sqrt(len(array))
+    return error
 
 
 def best(measured: Sequence[Measured]) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from otc_dist.comparison.scores import read_json
 from otc_dist.errors import UserError
+from otc_dist.measured import standard_error
 from otc_dist.printable import aligned
 
 UNIFORM = "uniform, other minibatches"
@@ -35,8 +36,7 @@ class Estimate:
     def of(cls, values: Sequence[float | None]) -> "Estimate":
         """None counts as NaN."""
         array = np.asarray(values, np.float64)
-        many = len(array) > 1
-        error = float(array.std(ddof=1)) / math.sqrt(len(array)) if many else math.nan
+        error = float(standard_error(array)) if len(array) > 1 else math.nan
         return cls(float(array.mean()), error)
 
     def __str__(self) -> str:

@@ -9,6 +9,7 @@ from otc_dist.comparison.arms import NULL
 from otc_dist.comparison.colours import colours
 from otc_dist.comparison.judgement import returns
 from otc_dist.comparison.scores import Run, best_of
+from otc_dist.measured import standard_error
 from otc_dist.report.svg import STYLE, Series, line_chart
 
 # The page's colours, for a picture that stands alone.
@@ -39,7 +40,7 @@ def picture(runs: Mapping[str, Sequence[Run]], title: str) -> str:
         x = list(range(1, len(mean) + 1))
         low, high = None, None  # of one seed
         if len(values) > 1:
-            error = values.std(axis=0, ddof=1) / math.sqrt(len(values))
+            error = standard_error(values)
             low, high = (mean - error).tolist(), (mean + error).tolist()
         style = (by_arm[arm], arm == NULL)
         series.append(Series(arm, x, mean.tolist(), low, high, "band", True, *style))
