@@ -6,7 +6,6 @@ questions with observations and outcomes, and its answers to queries for the spe
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from types import TracebackType
 from typing import Self
 
 from otc_dist.bus.agreement import copies_by_phase, longest_message, run_spec
@@ -77,12 +76,7 @@ class LogHost:
         self._heartbeat.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._heartbeat.__exit__()
 
     def enter(self, phase: Phase, deployment: int, total: int) -> None:

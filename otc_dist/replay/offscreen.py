@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 from importlib import import_module
-from types import TracebackType
 from typing import Self
 
 import mujoco
@@ -64,12 +63,7 @@ class Offscreen:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._context.free()
         self._gl.free()
 
