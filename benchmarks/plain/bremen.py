@@ -14,7 +14,7 @@ from otc_dist.algorithms.bremen import BremenSection
 from otc_dist.spec import AgentSpec, Task
 from otc_dist.transitions import Transitions
 
-from .parts import Minibatches, follow, mlp, step
+from .parts import Minibatches, follow, mlp, moments, normalised, step
 
 
 class PlainBremen:
@@ -156,15 +156,6 @@ class BremenProducts:
             torch.bmm(x.mT, gradient)
             if inner:
                 torch.bmm(gradient, weights.mT)
-
-
-def moments(values: Tensor) -> tuple[Tensor, Tensor]:
-    return values.mean(0), values.std(0) + 1e-3
-
-
-def normalised(values: Tensor, of: tuple[Tensor, Tensor]) -> Tensor:
-    mean, std = of
-    return (values - mean) / std
 
 
 def flat(tensors: tuple[Tensor, ...]) -> Tensor:

@@ -2,19 +2,12 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from otc_dist.transitions import Transitions
-
-
-class Plain(Protocol):
-    """One algorithm with its data: each call makes one update and returns its losses."""
-
-    def update(self) -> list[float]: ...
 
 
 class Minibatches:
@@ -28,10 +21,9 @@ class Minibatches:
 
     def standardise(self) -> None:
         """The states, once, beforehand."""
-        states = self.fields[0]
-        mean, std = states.mean(0), states.std(0) + 1e-3
+        of = moments(self.fields[0])
         for field in (0, 3):
-            self.fields[field] = (self.fields[field] - mean) / std
+            self.fields[field] = normalised(self.fields[field], of)
 
     def draw(self) -> list[Tensor]:
         """s (B, s), a (B, a), r (B,), s' (B, s) and terminated (B,)."""
@@ -60,6 +52,15 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int) -> nn.Sequential:
     for fan_in, fan_out in pairwise((inputs, *hidden, outputs)):
         layers += [nn.Linear(fan_in, fan_out), nn.ReLU()]
     return nn.Sequential(*layers[:-1])
+
+
+def moments(values: Tensor) -> tuple[Tensor, Tensor]:
+    return values.mean(0), values.std(0) + 1e-3
+
+
+def normalised(values: Tensor, of: tuple[Tensor, Tensor]) -> Tensor:
+    mean, std = of
+    return (values - mean) / std
 
 
 def step(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:

@@ -11,8 +11,6 @@ from otc_dist.errors import UserError
 from otc_dist.otc.uniform import UniformSection
 from otc_dist.run_folder import RunFolder
 
-NAME = "uniform"  # of the sampling with which others are compared
-
 
 @dataclass(frozen=True)
 class Uniform:
