@@ -13,37 +13,20 @@ load on the machine counts little; a ratio is the median over the rounds.
 """
 
 import argparse
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 from mpe2 import simple_spread_v3
 from pettingzoo import ParallelEnv
+from stepping import Row, alternate
 
 from otc_dist.envs import registry
 from otc_dist.envs.parallel import ParallelView
 from otc_dist.envs.particles import MAX_EPISODE_STEPS
 from otc_dist.errors import run_main
 
-EPISODES = 8  # a turn, each of MAX_EPISODE_STEPS steps
+EPISODES = 8  # a turn
 AGENTS = 4
-
-
-@dataclass
-class Row:
-    """Something that plays; `turn` plays EPISODES episodes in all its copies."""
-
-    name: str
-    copies: int
-    turn: Callable[[], None]
-    speeds: list[float] = field(default_factory=list)  # steps/s, round by round
-
-    def measure(self) -> None:
-        start = time.process_time()
-        self.turn()
-        seconds = time.process_time() - start
-        self.speeds.append(self.copies * EPISODES * MAX_EPISODE_STEPS / seconds)
+STEPS = EPISODES * MAX_EPISODE_STEPS  # a turn, in each of a row's copies
 
 
 def batched(env_id: str, copies: int) -> Row:
@@ -60,7 +43,7 @@ def batched(env_id: str, copies: int) -> Row:
                 env.observe()
                 env.step(step)
 
-    return Row(f"{env_id}, {copies:,} copies", copies, turn)
+    return Row(f"{env_id}, {copies:,} copies", copies * STEPS, turn)
 
 
 def pettingzoo(name: str, env: ParallelEnv) -> Row:  # type: ignore[type-arg]
@@ -81,7 +64,7 @@ def pettingzoo(name: str, env: ParallelEnv) -> Row:  # type: ignore[type-arg]
             for step in actions:
                 env.step(step)
 
-    return Row(name, 1, turn)
+    return Row(name, STEPS, turn)
 
 
 def main(argv: list[str]) -> int:
@@ -104,17 +87,12 @@ def main(argv: list[str]) -> int:
         batched("predator-prey-4", 16),
         batched("navigation", 16),
     ]
-    for number in range(arguments.rounds + 1):
-        for row in rows:
-            row.measure()
-        if number == 0:
-            for row in rows:
-                row.speeds.clear()  # that was to warm up
+    alternate(rows, arguments.rounds)
     print(f"medians of {arguments.rounds} alternating turns of {EPISODES} episodes")
     print(f"{'':40}    steps/s      best  x mpe2")
     for row in rows:
-        ratio = float(np.median(np.divide(row.speeds, peer.speeds)))
-        print(f"{row.name:40} {np.median(row.speeds):10,.0f} {max(row.speeds):10,.0f} {ratio:6.1f}")
+        ratio = row.times_as_fast_as(peer)
+        print(f"{row.name:40} {row.median:10,.0f} {max(row.speeds):10,.0f} {ratio:6.1f}")
     return 0
 
 

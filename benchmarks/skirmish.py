@@ -15,32 +15,15 @@ so that other load on the machine counts little; a ratio is the median over the 
 """
 
 import argparse
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
+from stepping import Row, alternate
 
 from otc_dist.envs import registry
 from otc_dist.errors import UserError, run_main
 
 NATIVE, SMAX = "5m_vs_6m", "smax/5m_vs_6m"
 TURN = 4000  # steps of all copies together, about
-
-
-@dataclass
-class Row:
-    """Something that plays; `turn` makes `steps` steps."""
-
-    name: str
-    steps: int
-    turn: Callable[[], None]
-    speeds: list[float] = field(default_factory=list)  # steps/s, round by round
-
-    def measure(self) -> None:
-        start = time.process_time()
-        self.turn()
-        self.speeds.append(self.steps / (time.process_time() - start))
 
 
 def batched(env_id: str, copies: int) -> Row:
@@ -110,16 +93,12 @@ def main(argv: list[str]) -> int:
         rows += [compiled_smax(copies) for copies in (64, 1024)]
     except UserError as missing:
         print(f"without SMAX: {missing}")
-    for row in rows:
-        row.turn()  # compiles
-    for _ in range(rounds):
-        for row in rows:
-            row.measure()
+    alternate(rows, rounds)
     reference = rows[2]
     print(f"medians of {rounds} alternating turns; the ratio is of {reference.name} to the row")
     for row in rows:
-        ratio = float(np.median(np.divide(reference.speeds, row.speeds)))
-        print(f"{row.name:32} {np.median(row.speeds):>12,.0f} steps/s {ratio:8.2f}x")
+        ratio = reference.times_as_fast_as(row)
+        print(f"{row.name:32} {row.median:>12,.0f} steps/s {ratio:8.2f}x")
     return 0
 
 
