@@ -11,6 +11,7 @@ from .observer import Link, Sign, Token
 from .plan import Plan
 from .supervisor import End, Supervisor
 
+CLOSING = 5.0  # seconds: an env host that ends takes its socket with it before its end shows
 MISTAKE = 2  # exit status of a process that met what only the user can mend
 
 
@@ -41,6 +42,7 @@ class Crew:
         self._due = dict.fromkeys(self._commands, 0.0)  # to be started -> when
         self._finished: set[str] = set()  # ended well
         self._socket: Path | None = None  # of the bus, where the env host listens
+        self._missed: float | None = None  # when the socket was first not there
         self._looked = time.monotonic()
 
     @property
@@ -98,11 +100,20 @@ class Crew:
             else:
                 self._start_again(end, now)
         lost = self.health.lost(now, processor_time, queued)
-        if self._socket is not None and not self._socket.exists():
-            lost |= self.health.cut_off(f"has lost the bus's socket, {self._socket}")
+        lost |= self._cut_off(now)
         for name, why in lost.items():
             self._kill(name, why)
         return self._finished
+
+    def _cut_off(self, now: float) -> dict[str, str]:
+        """The env host, if nobody can come to it any more and it does not leave by itself."""
+        if self._socket is None or self._socket.exists():
+            self._missed = None
+            return {}
+        self._missed = self._missed or now
+        if now - self._missed < CLOSING:
+            return {}
+        return self.health.cut_off(f"has lost the bus's socket, {self._socket}")
 
     def _start_again(self, end: End, now: float) -> None:
         delay = None if end.status == MISTAKE else self.health.died(end, now)

@@ -1,6 +1,8 @@
 """The crew with real processes: started again when they die, given up when that is of no use."""
 
+import os
 import shutil
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -118,6 +120,7 @@ def test_an_env_host_to_whom_nobody_can_come_any_more_is_started_again(
 
     Where the folder cannot be made again at the same place, the others are started again, too.
     """
+    monkeypatch.setattr("otc_dist.launch.crew.CLOSING", 0.01)
     path, agent, socket = tmp_path / "count", tmp_path / "agent", tmp_path / ".bus" / "bus"
     places = [socket, tmp_path / "bus" if moves else socket]
     monkeypatch.setattr(Place, "local_socket", lambda *_: places.pop(0))
@@ -141,3 +144,23 @@ def test_an_env_host_to_whom_nobody_can_come_any_more_is_started_again(
     )
     told = f"agent_0: waits where the bus was: it is at {tmp_path / 'bus'} now; killed"
     assert (told in crew.drain_events()) == moves
+
+
+def test_an_env_host_that_takes_its_socket_with_it_ends_by_itself(
+    crew_of: Callable[..., Crew], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is not killed for what it has closed, so that its own end is told."""
+    path, socket = tmp_path / "count", tmp_path / "bus"
+    monkeypatch.setattr(Place, "local_socket", lambda *_: socket)
+    closes = "import pathlib, signal, sys\nsocket = pathlib.Path(sys.argv.pop())\n"
+    closes += "signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])\nsocket.touch()\n"
+    closes += "if not pathlib.Path(sys.argv[1]).exists(): signal.sigwait([signal.SIGUSR1])\n"
+    crew = crew_of(host=[closes + COUNT, str(path), "2", "1", str(socket)])
+    work(crew, until=socket.exists)
+    crew.take(Token(HOST, alive=True))
+    socket.unlink()
+    for _ in range(3):
+        crew.look()
+    os.kill(crew.health.lives[HOST].pid, signal.SIGUSR1)
+    work(crew)
+    assert crew.health.lives[HOST].last_end == "exited with status 1"
