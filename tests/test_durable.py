@@ -51,3 +51,14 @@ def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.M
         durable.write(path, b"new")
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_ends_unfinished_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "file.json"
+    durable.write(path, b"old", mode=0o600)
+    with pytest.raises(KeyboardInterrupt), durable.writing(path, ".new", lasting=False) as file:
+        file.write(b"new")
+        assert {one.name for one in tmp_path.iterdir()} == {"file.json", "file.json.new"}
+        raise KeyboardInterrupt
+    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"old", 0o600)
+    assert list(tmp_path.iterdir()) == [path]
