@@ -35,7 +35,7 @@ IN_VAIN = 3  # runs in a row that a fault has found nothing to strike in
 AIM = 20.0  # seconds that a fault waits for the phase in which it is to strike
 SCATTER = 0.7  # seconds within which it then strikes, at random
 # The same for phases that last a second or two, and for one that lasts far longer.
-SCATTERS = {"data": 0.3, "start": 0.3, "report": 0.3, "compile": 30.0}
+SCATTERS = {"data": 0.3, "start": 0.3, "report": 0.3, "compile": 8.0}
 SELDOM = {"kill-preparation": 20, "kill-compiler": 5}  # each takes a run of its own
 WHOLE = {name: 100 if name.startswith("kill-") else 20 for name in FAULTS if name != "any"} | SELDOM
 

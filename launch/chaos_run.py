@@ -187,8 +187,9 @@ class DisturbedRun:
         """The phases that may still come."""
         if self.folder.evaluation(0).exists():
             return PHASES[PHASES.index("deploying") :]
-        now = self.phase
-        return PHASES[PHASES.index(now) :] if now in PHASES[:3] else PHASES[3:]
+        if not self.processes:  # a launcher that starts may yet prepare anything
+            return PHASES
+        return PHASES[2:] if self.phase == "start" else PHASES[3:]
 
     def preparing(self) -> tuple[str, int] | None:
         """What the launcher does beside the run's processes, "data", "compile" or "report", and by

@@ -12,7 +12,7 @@ import pytest
 from otc_dist.errors import UserError
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.chaos_outcome import differences, outcome
-from otc_dist.launch.chaos_run import DisturbedRun, StuckError
+from otc_dist.launch.chaos_run import PHASES, DisturbedRun, StuckError
 from otc_dist.report.write import write_report
 from otc_dist.run_folder import RunFolder
 from tests.report.conftest import MadeRun
@@ -141,3 +141,10 @@ def test_whatever_strikes_the_run_ends_with_the_same_bytes(tmp_path: Path) -> No
         if struck != "skipped:":
             assert (struck, runs) == (count, identical)
     assert not (tmp_path / "wrong").exists()
+
+
+def test_a_launcher_that_starts_may_yet_prepare_anything(tmp_path: Path) -> None:
+    """So what strikes the compiler alone waits for it, though the run's first phase is `start`."""
+    with DisturbedRun(tmp_path / "run", ("navigation", "--dry-run")) as run:
+        run.start()
+        assert run.phases_ahead == PHASES
