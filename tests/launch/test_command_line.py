@@ -14,7 +14,7 @@ from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_files
 from otc_dist.description import Description
-from otc_dist.errors import UserError, run_main
+from otc_dist.errors import UserError
 from otc_dist.launch import comparison_jobs, descriptions, new_folder, plan, run_record
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.place import Place
@@ -280,20 +280,17 @@ def test_another_kind_of_processor_is_said_once_and_the_run_goes_on(
     assert capsys.readouterr().out == ""
 
 
-def test_what_the_system_refuses_the_launcher_is_one_line(
-    run: RunFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_the_system_refuses_the_launcher_is_one_line(run: RunFolder) -> None:
     run.root.joinpath("output").touch()  # where a folder is to be
     with pytest.raises(UserError, match=r"run/output: File exists; resume with: python"):
         main(["--resume", str(run.root)])
     assert run_record.RunRecord.read(run).state == "failed"
     run.description.chmod(0o000)
-    monkeypatch.setattr("sys.argv", ["launch", "--resume", str(run.root / "description.toml")])
-    with pytest.raises(SystemExit) as ended:
-        run_main(main)
-    assert ended.value.code == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and len(error.splitlines()) == 1
+    # A process of its own: a command that ends while a session closes takes its whole process along.
+    command = [sys.executable, "-m", "otc_dist.launch", "--resume", run.root / "description.toml"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("error: ") and len(ended.stderr.splitlines()) == 1
 
 
 def test_a_damaged_record_is_one_line(run: RunFolder) -> None:
