@@ -286,7 +286,7 @@ def test_what_the_system_refuses_the_launcher_is_one_line(run: RunFolder) -> Non
         main(["--resume", str(run.root)])
     assert run_record.RunRecord.read(run).state == "failed"
     run.description.chmod(0o000)
-    # A process of its own: a command that ends while a session closes takes its whole process along.
+    # A process of its own: a command that ends while a session closes takes its process along.
     command = [sys.executable, "-m", "otc_dist.launch", "--resume", run.root / "description.toml"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert ended.returncode == 2
