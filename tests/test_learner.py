@@ -289,6 +289,22 @@ def test_reports_follow_training() -> None:
     assert 0 <= reports[-1].metrics["active_dimensions"] <= 4
 
 
+@pytest.mark.parametrize("own", ["typical", "dynamics"])
+def test_what_two_distances_share_is_fitted_once(own: str, tmp_path: Path) -> None:
+    """For comparisons, whose arms start from one checkpoint: d_f and `typical` share their f_B."""
+    reports: list[Progress] = []
+    description = describe(f"sampling.distance={own}")
+    learner = Learner(description, SPEC, transitions(0, 300), fits=("typical", "dynamics"))
+    learner.pretrain(reports.append, unsaved)
+    told = [r.update for r in reports if r.phase == "dynamics"]
+    assert told and told == sorted(set(told))
+    learner.save(tmp_path / "pi_0.safetensors")
+    for distance in ("typical", "dynamics"):
+        other = Learner(describe(f"sampling.distance={distance}"), SPEC, transitions(0, 300))
+        other.load(tmp_path / "pi_0.safetensors")
+        assert other.tuned == 0  # nothing is left to fit
+
+
 def test_too_few_active_dimensions_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
     pretrained(*ARMS["otc-embedding"], "embedding.minimum_active=5")
     assert "of 4 dimensions of the embedding are active" in caplog.text
