@@ -49,12 +49,12 @@ from timing import (
     tuning,
 )
 
-from otc_dist.algorithms.bremen import BremenSection
-from otc_dist.engine import Engine
+from otc_dist.algorithms.bremen.algorithm import BremenSection
 from otc_dist.envs import registry
-from otc_dist.errors import run_main, unknown
-from otc_dist.learner import Learner
+from otc_dist.learner.learner import Learner
 from otc_dist.spec import AgentSpec
+from otc_dist.steps.engine import Engine
+from otc_dist.terminal.errors import run_main, unknown
 from otc_dist.transitions import Transitions
 
 TARGETS = {"CORL's way": 2.5, "d3rlpy": 2.5, "JAX": 1.0}  # times as fast as each

@@ -24,8 +24,8 @@ from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import PAYLOAD_START, Rows
 from otc_dist.deployment_log.salvage import Salvage
 from otc_dist.deployment_log.writer import LogWriter
-from otc_dist.errors import UserError, run_main
-from otc_dist.progress import shown
+from otc_dist.terminal.errors import UserError, run_main
+from otc_dist.terminal.progress import shown
 
 SMALL = 12  # steps
 

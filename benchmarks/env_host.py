@@ -23,7 +23,7 @@ from otc_dist.envs import registry
 from otc_dist.envs.robot_specs import PARTITIONS
 from otc_dist.envs.robots import load_model
 from otc_dist.envs.rollout import Rollout
-from otc_dist.errors import run_main
+from otc_dist.terminal.errors import run_main
 from otc_dist.transitions import JointStep
 
 COPIES = (1, 4, 8, 16)

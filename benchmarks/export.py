@@ -23,9 +23,9 @@ import numpy as np
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
-from otc_dist.errors import run_main
-from otc_dist.progress import shown
 from otc_dist.replay.export.formats import FORMATS
+from otc_dist.terminal.errors import run_main
+from otc_dist.terminal.progress import shown
 from otc_dist.transitions import JointStep
 
 ENV, COPIES = "hopper-3x1", 4

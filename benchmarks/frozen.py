@@ -17,8 +17,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from otc_dist.launch.chaos import SHORT_RUN
-from otc_dist.launch.chaos_run import LOOK, DisturbedRun
+from otc_dist.launch.chaos.command import SHORT_RUN
+from otc_dist.launch.chaos.disturbed_run import LOOK, DisturbedRun
 
 LIMIT = 2.0
 LONG = ("--set", "deployment.count=1000")

@@ -27,8 +27,8 @@ from otc_dist.deployment_log.reader import read_steps
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
-from otc_dist.errors import run_main
 from otc_dist.replay.__main__ import main as replay
+from otc_dist.terminal.errors import run_main
 from otc_dist.transitions import JointStep
 
 SUMMARY, READING, RECORDING = 0.3, 0.8, 0.1  # at most seconds, at least and at most shares

@@ -24,9 +24,9 @@ from timing import ENVS, OFFLINE, ONLINE, describe, random_data, say, sections
 
 from otc_dist.datasets import agent_files
 from otc_dist.envs import registry
-from otc_dist.errors import run_main
-from otc_dist.launch.supervisor import FRUGAL
+from otc_dist.launch.supervise.supervisor import FRUGAL
 from otc_dist.spec import AgentSpec
+from otc_dist.terminal.errors import run_main
 
 TARGET = 300  # MB beside the data set
 MB = 2**20
@@ -53,7 +53,7 @@ def learn(name: str, path: Path) -> dict[str, float]:
     import torch  # noqa: F401
 
     bare = held()
-    from otc_dist.learner import Learner
+    from otc_dist.learner.learner import Learner
 
     env_id = ENVS[sections()[name].discrete]
     spec = registry.team_spec(env_id).agents[0]

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from otc_dist import team
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
-from otc_dist.errors import run_main
-from otc_dist.launch import descriptions
-from otc_dist.launch.resolve import resolve
-from otc_dist.learner import SAVE_EVERY, Learner, Progress
+from otc_dist.launch.plan import descriptions
+from otc_dist.launch.run.resolve import resolve
+from otc_dist.learner import team
+from otc_dist.learner.learner import SAVE_EVERY, Learner, Progress
+from otc_dist.terminal.errors import run_main
 
 
 def learner(description: Description, agent: str) -> Learner:

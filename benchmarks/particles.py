@@ -22,7 +22,7 @@ from stepping import Row, alternate
 from otc_dist.envs import registry
 from otc_dist.envs.parallel import ParallelView
 from otc_dist.envs.particles import MAX_EPISODE_STEPS
-from otc_dist.errors import run_main
+from otc_dist.terminal.errors import run_main
 
 EPISODES = 8  # a turn
 AGENTS = 4

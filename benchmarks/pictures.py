@@ -24,9 +24,9 @@ from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
-from otc_dist.errors import UserError, run_main
 from otc_dist.replay.__main__ import main as replay
 from otc_dist.spec import AgentSpec
+from otc_dist.terminal.errors import UserError, run_main
 from otc_dist.transitions import Float32
 
 ENVS = ("hopper-3x1", "halfcheetah-2x3", "predator-prey-3", "5m_vs_6m")

@@ -36,10 +36,10 @@ from otc_dist.bus.messages import Action, Moment, Observation, StepOutcome
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.reader import OpenLog
 from otc_dist.envs.registry import team_spec
-from otc_dist.errors import UserError, run_main
-from otc_dist.launch.supervisor import die_with_parent
-from otc_dist.run_folder import RunFolder
+from otc_dist.launch.supervise.supervisor import die_with_parent
+from otc_dist.run.folder import RunFolder
 from otc_dist.spec import AgentSpec
+from otc_dist.terminal.errors import UserError, run_main
 
 LOOK = 0.05  # seconds
 WARM_UP = 20  # lock-steps

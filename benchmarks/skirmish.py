@@ -20,7 +20,7 @@ import numpy as np
 from stepping import Row, alternate
 
 from otc_dist.envs import registry
-from otc_dist.errors import UserError, run_main
+from otc_dist.terminal.errors import UserError, run_main
 
 NATIVE, SMAX = "5m_vs_6m", "smax/5m_vs_6m"
 TURN = 4000  # steps of all copies together, about

@@ -20,7 +20,7 @@ from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 
 if TYPE_CHECKING:  # memory is counted from before torch's import
-    from otc_dist.learner import Learner, Progress
+    from otc_dist.learner.learner import Learner, Progress
 
 UPDATES = 80  # a turn
 ENVS = {False: "hopper-3x1", True: "5m_vs_6m"}  # whose agents' sizes: by whether discrete

@@ -30,8 +30,8 @@ from timing import (
 
 from otc_dist.algorithms.bcq import BcqSection
 from otc_dist.envs import registry
-from otc_dist.errors import run_main
-from otc_dist.learner import Learner
+from otc_dist.learner.learner import Learner
+from otc_dist.terminal.errors import run_main
 
 EXACT, SHARE = "sampling.matching=exact", "sampling.acceptance=share"
 TUNING = 4000  # updates after a deployment, Table 3

@@ -2,8 +2,8 @@
 
 import importlib
 
-from otc_dist.commands import COMMANDS, OF_LAUNCH
-from otc_dist.errors import run_main, unknown
+from otc_dist.terminal.commands import COMMANDS, OF_LAUNCH
+from otc_dist.terminal.errors import run_main, unknown
 
 RUN = "run"  # the word for what is done without one
 

@@ -18,27 +18,27 @@ from importlib import import_module
 
 TYPE_CHECKING = False  # as in `typing`, whose import would take longer than all the rest
 if TYPE_CHECKING:
+    from otc_dist.datasets.front import load_dataset as load_dataset
+    from otc_dist.datasets.front import make_env as make_env
     from otc_dist.deployment_log.arrays import Log as Log
     from otc_dist.deployment_log.arrays import read_log as read_log
     from otc_dist.description import Description as Description
-    from otc_dist.errors import UserError as UserError
-    from otc_dist.front import load_dataset as load_dataset
-    from otc_dist.front import make_env as make_env
-    from otc_dist.learner import Learner as Learner
-    from otc_dist.policy import Policy as Policy
+    from otc_dist.learner.learner import Learner as Learner
+    from otc_dist.learner.policy import Policy as Policy
+    from otc_dist.terminal.errors import UserError as UserError
     from otc_dist.transitions import Transitions as Transitions
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "Description": "otc_dist.description",
-    "Learner": "otc_dist.learner",
+    "Learner": "otc_dist.learner.learner",
     "Log": "otc_dist.deployment_log.arrays",
-    "Policy": "otc_dist.policy",
+    "Policy": "otc_dist.learner.policy",
     "Transitions": "otc_dist.transitions",
-    "UserError": "otc_dist.errors",
-    "load_dataset": "otc_dist.front",
-    "make_env": "otc_dist.front",
+    "UserError": "otc_dist.terminal.errors",
+    "load_dataset": "otc_dist.datasets.front",
+    "make_env": "otc_dist.datasets.front",
     "read_log": "otc_dist.deployment_log.arrays",
 }
 __all__ = ["__version__", *_HOMES]

@@ -6,9 +6,9 @@ from importlib import import_module
 from pathlib import Path
 
 from otc_dist import __version__
-from otc_dist.commands import COMMANDS, lines
-from otc_dist.errors import UserError, run_main, unknown
-from otc_dist.parser import Parser
+from otc_dist.terminal.commands import COMMANDS, lines
+from otc_dist.terminal.errors import UserError, run_main, unknown
+from otc_dist.terminal.parser import Parser
 
 SHELLS = ("bash", "zsh", "tcsh")
 

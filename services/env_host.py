@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from otc_dist import durable, inputs
 from otc_dist.bus.endpoints import remove_local_endpoint
 from otc_dist.bus.handshake import offer
 from otc_dist.bus.keys import HOST
@@ -20,6 +19,7 @@ from otc_dist.bus.presence import Presence
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
+from otc_dist.datasets import inputs
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.header import LogHeader, versions
 from otc_dist.deployment_log.open_log import OpenLog
@@ -27,8 +27,9 @@ from otc_dist.deployment_log.reader import check_whole
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
-from otc_dist.host_state import HostState
-from otc_dist.processor import kind
+from otc_dist.run.host_state import HostState
+from otc_dist.system import durable
+from otc_dist.system.processor import kind
 from otc_dist.transitions import Float32, JointStep
 
 from .acting import confirmed
@@ -36,7 +37,7 @@ from .gate import Gate
 from .history import history_of
 from .host_bus import open_bus
 from .process import Run, check_endpoints, parser, recording, serve
-from .resimulation import check_begun, resimulate
+from .restore import check_begun, resimulate
 
 log = logging.getLogger(__name__)
 

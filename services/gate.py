@@ -7,11 +7,12 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 
-from otc_dist import durable, keeping, records
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.measuring import read_measured
-from otc_dist.errors import UserError
-from otc_dist.measured import Measured, TooFewError, alike
+from otc_dist.run import recommendation
+from otc_dist.run.measured_returns import Measured, TooFewError, alike
+from otc_dist.system import durable, records
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep
 
 from .process import FailureError, Run
@@ -70,7 +71,7 @@ class Gate:
         floor = self._settings.floor
         if k == 1 or floor is None or (found := self.measured(k - 1)) is None:
             return False
-        if not keeping.ends(floor, found):
+        if not recommendation.ends(floor, found):
             return False
         log.info(
             "deployment %d measured %.1f, below deployment.floor = %g: none follows",

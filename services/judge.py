@@ -5,9 +5,10 @@ All agents get the team's reward, so that all come to the same conclusion withou
 
 import json
 
-from otc_dist import durable, keeping
-from otc_dist.errors import UserError
-from otc_dist.measured import Measured, horizon, measure
+from otc_dist.run import recommendation
+from otc_dist.run.measured_returns import Measured, horizon, measure
+from otc_dist.system import durable
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Transitions
 
 from .gathering import Fetch
@@ -52,7 +53,7 @@ class Judge:
 
     def reverted(self, deployment: int) -> int | None:
         """k of the policy from which tuning after a deployment goes on, if not from the newest."""
-        return keeping.reverted(self._up_to(deployment)) if self._settings.revert else None
+        return recommendation.reverted(self._up_to(deployment)) if self._settings.revert else None
 
     def recommend(self, deployments: int, tuned: int) -> None:
         """Write which of this agent's checkpoints is recommended, after so many deployments.
@@ -62,7 +63,7 @@ class Judge:
         """
         keep = self._settings.keep or "last"
         measured = self._up_to(deployments) if self.keeps_best else [None] * deployments
-        found = keeping.recommended(keep, measured, tuned)
+        found = recommendation.recommended(keep, measured, tuned)
         told = {
             "agent": self._name,
             "checkpoint": self._folder.checkpoint(self._name, found.policy).name,

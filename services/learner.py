@@ -8,17 +8,18 @@ or, after a restart, asks of the env host's log.
 import logging
 from typing import TYPE_CHECKING
 
-from otc_dist import inputs, user_code
 from otc_dist.bus.history import History
 from otc_dist.bus.lockstep import GaveUpError, LearnerLockstep
 from otc_dist.bus.messages import Action, Observation, Status
 from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
+from otc_dist.datasets import inputs
+from otc_dist.description import user_code
 from otc_dist.description.distances import TOLD
 from otc_dist.envs import registry
-from otc_dist.errors import UserError, unknown
 from otc_dist.spec import AgentSpec
+from otc_dist.terminal.errors import UserError, unknown
 
 from .gathering import Gathering
 from .judge import Judge
@@ -27,8 +28,8 @@ from .metrics import MetricsFile
 from .process import FailureError, Run, check_endpoints, parser, serve
 
 if TYPE_CHECKING:
-    from otc_dist.learner import Learner
-    from otc_dist.trainer import Progress
+    from otc_dist.learner.learner import Learner
+    from otc_dist.learner.trainer import Progress
 
 log = logging.getLogger(__name__)
 
@@ -107,7 +108,7 @@ class LearnerService:
         """
         # Imported here: with torch it takes seconds, in which the heartbeat beats already.
         from otc_dist.datasets import store
-        from otc_dist.learner import Learner
+        from otc_dist.learner.learner import Learner
 
         dataset, agent = self._run.description.dataset, self._agent
         path = store.agent_file(dataset.name, agent.name, dataset.transitions)

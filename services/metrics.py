@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from otc_dist.trainer import Progress
+    from otc_dist.learner.trainer import Progress
 
 
 class MetricsFile:

@@ -13,22 +13,23 @@ from pathlib import Path
 from types import FrameType
 from typing import Self
 
-from otc_dist import output, records, user_code
 from otc_dist.bus.agreement import copies_by_phase, longest_message, run_spec
 from otc_dist.bus.endpoints import Door, door, local_endpoint
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.replies import RunSpec
-from otc_dist.description import Description
+from otc_dist.datasets.inputs import Digests, check
+from otc_dist.description import Description, user_code
 from otc_dist.envs.registry import team_spec
-from otc_dist.errors import UserError, leave, told
-from otc_dist.exploration import Schedule
-from otc_dist.inputs import Digests, check
 from otc_dist.names import Name
-from otc_dist.parser import Parser
-from otc_dist.printable import printable, say
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.exploration import Schedule
+from otc_dist.run.folder import RunFolder
 from otc_dist.spec import TeamSpec
+from otc_dist.system import records
+from otc_dist.terminal import output
+from otc_dist.terminal.errors import UserError, leave, told
+from otc_dist.terminal.parser import Parser
+from otc_dist.terminal.printable import printable, say
 
 log = logging.getLogger(__name__)
 
@@ -134,7 +135,10 @@ def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParse
         "--run", type=Path, required=True, metavar="DIR", help="the run folder (the launcher's)"
     )
     made.add_argument(
-        "--certs", type=Path, metavar="DIR", help="certificates, for tls/ (see otc_dist.certs)"
+        "--certs",
+        type=Path,
+        metavar="DIR",
+        help="certificates, for tls/ (see otc_dist.certs.authority)",
     )
     made.add_argument(
         "--insecure", action="store_true", help="permit endpoints that anybody may use"

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from otc_dist.description import Description
-from otc_dist.learner import Learner, Progress
+from otc_dist.learner.learner import Learner, Progress
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 

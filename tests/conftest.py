@@ -33,7 +33,12 @@ LONGEST = (
     *("services/test_services.py", "launch/test_run.py", "services/test_faults.py"),
     *("launch/test_going_on.py", "launch/test_keep.py", "test_readme.py"),
     *("comparison/test_command.py", "launch/test_tasks.py", "launch/test_chaos.py"),
-    *("launch/test_ssh.py", "test_engine.py", "test_learner.py", "deployment_log/test_recovery.py"),
+    *(
+        "launch/test_ssh.py",
+        "steps/test_engine.py",
+        "learner/test_learner.py",
+        "deployment_log/test_recovery.py",
+    ),
 )
 
 
@@ -60,6 +65,6 @@ def tiny_flags() -> tuple[str, ...]:
 @pytest.fixture
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks and checkpoints of a learner in the proportions of a real run, ten times smaller."""
-    for user in ("trainer", "otc.distances.embedding", "otc.forward"):
+    for user in ("learner.trainer", "otc.distances.embedding", "otc.forward"):
         monkeypatch.setattr(f"otc_dist.{user}.BLOCK", 10)
-    monkeypatch.setattr("otc_dist.learner.SAVE_EVERY", 10)
+    monkeypatch.setattr("otc_dist.learner.learner.SAVE_EVERY", 10)

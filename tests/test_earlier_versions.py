@@ -12,11 +12,11 @@ import pytest
 from otc_dist import Policy, read_log
 from otc_dist.datasets.importers import import_files
 from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.launch import run_record
+from otc_dist.launch.plan import run_record
 from otc_dist.replay.__main__ import main as replay
 from otc_dist.report.write import write_report
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 
 EARLIER = Path(__file__).parent / "earlier"
 LOG = Path("deployments", "deployment_01.mcap")

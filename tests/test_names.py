@@ -4,12 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist import certs, names
+from otc_dist import names
+from otc_dist.certs.__main__ import main as certs
 from otc_dist.comparison.arms import parse_arms
 from otc_dist.datasets.importers import import_files
 from otc_dist.datasets.names import DatasetName
-from otc_dist.errors import UserError
-from otc_dist.launch.run_command import main as launch
+from otc_dist.launch.run.command import main as launch
+from otc_dist.terminal.errors import UserError
 
 BAD = ("", ".", "..", "../x", "/x", "a/b", "-x", ".x", "a b", "a\nb", "a\0b", "é", "x" * 129, "a:b")
 GOOD = ("a", "agent_0", "3agent_hopper", "x" * 128, "a.b", "a-b", "_a", "0", "a..b")
@@ -80,7 +81,7 @@ def test_data_sets_arms_and_runs(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="write name=section"):
         parse_arms("uniform", ["../x=sampling.alpha=1"])
     with pytest.raises(UserError, match="no run's name"):
-        certs.main([str(tmp_path / "certs"), "--agents", "2", "--rules", "../x"])
+        certs([str(tmp_path / "certs"), "--agents", "2", "--rules", "../x"])
     source = tmp_path / "a.hdf5"
     source.write_bytes(b"")
     with pytest.raises(UserError, match="a data set cannot be called so"):

@@ -49,6 +49,6 @@ def test_the_pages_are_built_strictly(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     page = (tmp_path / "site" / "reference" / "policy" / "index.html").read_text()
-    assert 'id="otc_dist.policy.Policy.load"' in page
+    assert 'id="otc_dist.learner.policy.Policy.load"' in page
     for loaded in re.findall(r'(?:src|<link[^>]+href)="(https?:[^"]*)"', page):
         pytest.fail(f"{loaded} would be fetched")

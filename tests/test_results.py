@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.comparison import collected, mechanism_table, tables
+from otc_dist.comparison import collected, tables
 from otc_dist.comparison.intervals import Difference
 from otc_dist.comparison.judgement import recommended, returns
+from otc_dist.comparison.mechanism import table
+from otc_dist.comparison.score_statistics import summarise
 from otc_dist.comparison.scores import Run
-from otc_dist.comparison.statistics import summarise
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -28,7 +29,7 @@ QUOTES = [
 def printed(kind: str, folder: str) -> set[str]:
     """The lines that the raw scores of a folder give."""
     if kind == "mechanism":
-        return set(mechanism_table.read(sorted((ROOT / folder).glob("*.json"))).lines())
+        return set(table.read(sorted((ROOT / folder).glob("*.json"))).lines())
     found = collected.collect(ROOT / folder)
     return set("\n".join(tables.text(summarise(found.runs, found.normalise))).splitlines())
 
@@ -50,7 +51,7 @@ def test_every_folder_of_raw_scores_is_quoted() -> None:
 
 def test_the_readme_says_what_is_selected_in_the_measured_numbers() -> None:
     paths = sorted((ROOT / "results/tuning/mechanism-hopper").glob("*.json"))
-    rows = {row.name: row for row in mechanism_table.read(paths).rows}
+    rows = {row.name: row for row in table.read(paths).rows}
     typical, corrected = (rows[f"{name}, best tenth"] for name in ("typical", "d_f"))
     said = " ".join((ROOT / "README.md").read_text().replace("\N{PRIME}", "'").split())
     assert (

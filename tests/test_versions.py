@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from otc_dist import checkpoint
 from otc_dist.bus import wire
 from otc_dist.comparison.scores import Run
 from otc_dist.datasets import agent_files
@@ -18,10 +17,11 @@ from otc_dist.deployment_log import format as log_format
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.description import Description
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
-from otc_dist.launch import run_record
-from otc_dist.launch.place import Place
-from otc_dist.run_folder import RunFolder
+from otc_dist.launch.plan import run_record
+from otc_dist.launch.plan.role import Place
+from otc_dist.learner import checkpoint
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "versions.md").read_text()

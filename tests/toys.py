@@ -11,15 +11,24 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.interface import Batch
 from otc_dist.description.algorithms import AlgorithmSection
 from otc_dist.description.distances import DistanceFacts
 from otc_dist.description.sampling import SamplingSection
 from otc_dist.otc.acceptance.weighted import Weighted
-from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.distances.interface import Distance, Scores, Setting
-from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
+from otc_dist.otc.samplers.correction import CorrectionSection
+from otc_dist.otc.samplers.interface import (
+    Begun,
+    Extent,
+    Gathered,
+    Held,
+    Indices,
+    Sampler,
+    Selection,
+)
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.state import State
 
 
 class CloningSection(AlgorithmSection):

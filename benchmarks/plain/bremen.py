@@ -10,7 +10,7 @@ from torch.distributions import Independent, Normal, kl_divergence
 from torch.nn.functional import mse_loss
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from otc_dist.algorithms.bremen import BremenSection
+from otc_dist.algorithms.bremen.algorithm import BremenSection
 from otc_dist.spec import AgentSpec, Task
 from otc_dist.transitions import Transitions
 

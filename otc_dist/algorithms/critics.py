@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.moments import moments
-from otc_dist.algorithms.networks import Mlp, descend
+from otc_dist.algorithms.interface import Batch
+from otc_dist.steps.networks import Mlp, descend
+from otc_dist.steps.standardisation import moments
+from otc_dist.steps.state import State
 
 if TYPE_CHECKING:
     from torch import Tensor

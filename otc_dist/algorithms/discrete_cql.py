@@ -22,11 +22,12 @@ import numpy as np
 from pydantic import Field
 
 from otc_dist.algorithms.critics import td_target
-from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.algorithms.interface import Batch
 from otc_dist.description.algorithms import AlgorithmSection, LargeSection
-from otc_dist.lazy import torch
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.steps.state import State
+from otc_dist.system.lazy import torch
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from otc_dist.lazy import torch
+from otc_dist.system.lazy import torch
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -7,38 +7,23 @@ compiled, in a CUDA graph, or eagerly, and a test can run them in float64.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import (
     TYPE_CHECKING,
     NamedTuple,
-    ParamSpec,
     Protocol,
-    TypeVar,
     runtime_checkable,
 )
 
 import numpy as np
 
-from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.lazy import torch
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.state import Fuse, State
+from otc_dist.system.lazy import torch
 from otc_dist.transitions import RowLayout
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-State = dict[str, "Tensor"]
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-class Fuse(Protocol):
-    """`Engine.fuse`: the same function with the same results up to rounding.
-
-    Of a plain function or a method, whose own and enclosed values are hashable, and whose
-    arguments always have the same shapes and strides: others are compiled anew.
-    """
-
-    def __call__(self, function: Callable[P, T], /) -> Callable[P, T]: ...
 
 
 class Batch(NamedTuple):

@@ -12,10 +12,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from otc_dist import locks
 from otc_dist.bus.addresses import HOST_FORM, is_host, is_ipv6
 from otc_dist.bus.identity import Identity
-from otc_dist.errors import UserError
+from otc_dist.system import locks
+from otc_dist.terminal.errors import UserError
 
 SOCKET = "unixsock-stream/"
 TLS = "tls/"

@@ -8,7 +8,7 @@ from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.replies import RunSpec, decode_spec, encode_spec
 from otc_dist.bus.session import Session
 from otc_dist.bus.wire import RejectedError, Rejections
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 log = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ from otc_dist.bus.replies import decode_history, encode_history, history_rows
 from otc_dist.bus.session import Query, Session
 from otc_dist.bus.wire import RejectedError, Rejections
 from otc_dist.description import Description
-from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Transitions
 
 Read = Callable[[int, int, int], Transitions]  # deployment, start, stop (steps)

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate

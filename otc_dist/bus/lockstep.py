@@ -16,7 +16,7 @@ from otc_dist.bus.messages import Action, Moment, Observation
 from otc_dist.bus.session import INBOX_SIZE, Session
 from otc_dist.bus.status import StatusBoard
 from otc_dist.bus.wire import RejectedError, Rejections
-from otc_dist.envs.choices import refused
+from otc_dist.envs.discrete_actions import refused
 from otc_dist.spec import AgentSpec
 
 _FIRST_REPEAT = 0.05  # seconds until a question is asked again; doubles

@@ -12,7 +12,7 @@ from typing import Any, Self
 from otc_dist.bus.diagnosis import refusal
 from otc_dist.bus.endpoints import Door
 from otc_dist.bus.links import configuration, zenoh
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 Put = Callable[[bytes], None]
 Receive = Callable[[bytes], None]

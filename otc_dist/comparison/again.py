@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from otc_dist import records
 from otc_dist.comparison import report
+from otc_dist.comparison.score_statistics import summarise
 from otc_dist.comparison.scores import ComparisonFolder, Run
-from otc_dist.comparison.statistics import summarise
 from otc_dist.description import Description
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
 from otc_dist.names import Name
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.system import records
+from otc_dist.terminal.errors import UserError
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draws
-from otc_dist.algorithms.interface import State
 from otc_dist.comparison import perfect
 from otc_dist.comparison.arms import ORACLE, PERFECT
 from otc_dist.comparison.present import packed, would_do
@@ -22,14 +20,24 @@ from otc_dist.datasets import store
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.description import Description
 from otc_dist.envs import registry
-from otc_dist.learner import Learner
+from otc_dist.learner.learner import Learner
 from otc_dist.otc.acceptance import acceptance
-from otc_dist.otc.correction import settings_of
 from otc_dist.otc.distances.interface import Scores
-from otc_dist.otc.mixing import ImitatingAll
-from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
+from otc_dist.otc.samplers.correction import settings_of
+from otc_dist.otc.samplers.interface import (
+    Begun,
+    Extent,
+    Gathered,
+    Held,
+    Indices,
+    Sampler,
+    Selection,
+)
+from otc_dist.otc.samplers.mixing import ImitatingAll
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec
+from otc_dist.steps.draws import Draws
+from otc_dist.steps.state import State
 from otc_dist.transitions import Float32, JointStep
 
 POOL = 80_000  # transitions that perfect correction plays again, drawn anew at each deployment

@@ -3,17 +3,16 @@
 from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
 
-from otc_dist import user_code
 from otc_dist.comparison import perfect
 from otc_dist.comparison.scores import ComparisonFolder
-from otc_dist.description import Description
+from otc_dist.description import Description, user_code
 from otc_dist.description.kinds import STRATEGIES
 from otc_dist.description.sampling import Arm
 from otc_dist.envs import registry
-from otc_dist.errors import UserError, unknown
 from otc_dist.names import is_name
-from otc_dist.otc.correction import share_of
-from otc_dist.run_folder import RunFolder
+from otc_dist.otc.samplers.correction import share_of
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError, unknown
 
 Arms = dict[str, tuple[str, ...]]  # name -> `section.key=value` assignments
 

@@ -8,8 +8,8 @@ import numpy as np
 from otc_dist.comparison import tables
 from otc_dist.comparison.arms import NULL, REFERENCE
 from otc_dist.comparison.colours import colours
+from otc_dist.comparison.score_statistics import Arm, Summary
 from otc_dist.comparison.scores import Run
-from otc_dist.comparison.statistics import Arm, Summary
 from otc_dist.report import html
 from otc_dist.report.axes import Range
 from otc_dist.report.forest import Row, forest, reach

@@ -9,12 +9,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from otc_dist import durable
 from otc_dist.comparison.arms import KNOWN, REFERENCE
 from otc_dist.comparison.scores import OFFLINE, ComparisonFolder, Run
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.system import durable
+from otc_dist.terminal.errors import UserError
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from otc_dist.randomness import stream
-from otc_dist.report.statistics import LEVEL, student_interval
+from otc_dist.report.return_statistics import LEVEL, student_interval
 from otc_dist.transitions import Float64
 
 RESAMPLES = 10_000

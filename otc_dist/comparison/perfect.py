@@ -12,7 +12,7 @@ import numpy as np
 
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, Float32, Float64, Transitions
 
 COPIES = 512  # steps simulated at once

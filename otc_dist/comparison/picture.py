@@ -9,8 +9,8 @@ from otc_dist.comparison.arms import NULL
 from otc_dist.comparison.colours import colours
 from otc_dist.comparison.judgement import returns
 from otc_dist.comparison.scores import Run, best_of
-from otc_dist.measured import standard_error
 from otc_dist.report.svg import STYLE, Series, line_chart
+from otc_dist.run.measured_returns import standard_error
 
 # The page's colours, for a picture that stands alone.
 _SCHEMES = """

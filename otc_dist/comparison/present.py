@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.action_scale import ActionScale
 from otc_dist.algorithms.bcq import Bcq
-from otc_dist.algorithms.draws import draw, to_tensors
-from otc_dist.learner import Learner
+from otc_dist.learner.action_scale import ActionScale
+from otc_dist.learner.learner import Learner
 from otc_dist.spec import AgentSpec
+from otc_dist.steps.draws import draw, to_tensors
 from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
 
 CHUNK = 2048  # states asked about at once

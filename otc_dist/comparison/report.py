@@ -3,17 +3,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-from otc_dist import durable
 from otc_dist.comparison import charts, tables
 from otc_dist.comparison.arms import REFERENCE, Arms
 from otc_dist.comparison.conclusion import ENOUGH
 from otc_dist.comparison.judgement import RECOMMENDED
+from otc_dist.comparison.score_statistics import Summary
 from otc_dist.comparison.scores import ComparisonFolder, Run, write_json
-from otc_dist.comparison.statistics import Summary
 from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.printable import on_page
 from otc_dist.report import html
+from otc_dist.system import durable
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.printable import on_page
 
 
 def write(

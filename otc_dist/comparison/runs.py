@@ -11,7 +11,6 @@ from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from otc_dist import team
 from otc_dist.comparison import analyses
 from otc_dist.comparison.analyses import Analysis
 from otc_dist.comparison.arms import ANALYSES, describe, offline_files
@@ -29,15 +28,16 @@ from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
-from otc_dist.exploration import Schedule
-from otc_dist.keeping import reverted
-from otc_dist.learner import Learner
-from otc_dist.measured import Measured, TooFewError, horizon
-from otc_dist.otc.samplers import Sampler
-from otc_dist.processor import processor
-from otc_dist.run_folder import RunFolder
-from otc_dist.trainer import Progress
+from otc_dist.learner import team
+from otc_dist.learner.learner import Learner
+from otc_dist.learner.trainer import Progress
+from otc_dist.otc.samplers.interface import Sampler
+from otc_dist.run.exploration import Schedule
+from otc_dist.run.folder import RunFolder
+from otc_dist.run.measured_returns import Measured, TooFewError, horizon
+from otc_dist.run.recommendation import reverted
+from otc_dist.system.processor import processor
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep
 
 Tell = Callable[[float, str], None]  # share of the job that is done, and where it stands

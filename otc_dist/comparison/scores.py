@@ -9,10 +9,10 @@ from typing import Any, Self
 
 from pydantic import ConfigDict
 
-from otc_dist import durable, records
-from otc_dist.errors import UserError
-from otc_dist.measured import Measured, best
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.run.measured_returns import Measured, best
+from otc_dist.system import durable, records
+from otc_dist.terminal.errors import UserError
 
 FORMAT = 2
 OFFLINE = "pi_0.json"  # the one file of a seed's folder that is no run's

@@ -6,9 +6,9 @@ from math import isnan
 from otc_dist.comparison.arms import NULL, PERFECT, REFERENCE
 from otc_dist.comparison.intervals import RESAMPLES, Spread
 from otc_dist.comparison.judgement import MEAN, RECOMMENDED, WORST
+from otc_dist.comparison.score_statistics import Arm, Judged, Summary
 from otc_dist.comparison.scores import Run
-from otc_dist.comparison.statistics import Arm, Judged, Summary
-from otc_dist.printable import aligned
+from otc_dist.terminal.printable import aligned
 
 TITLES = {
     "return": "return of the greedy team",

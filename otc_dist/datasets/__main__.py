@@ -3,15 +3,16 @@
 import argparse
 from pathlib import Path
 
-from otc_dist import progress, user_code
-from otc_dist.cache import cache_root
 from otc_dist.datasets import store
 from otc_dist.datasets.card import DatasetCard, Summary
 from otc_dist.datasets.importers import import_files
 from otc_dist.datasets.names import DatasetName, known_names
-from otc_dist.errors import UserError, run_main
-from otc_dist.parser import Parser
-from otc_dist.printable import aligned, say
+from otc_dist.description import user_code
+from otc_dist.system.cache import cache_root
+from otc_dist.terminal import progress
+from otc_dist.terminal.errors import UserError, run_main
+from otc_dist.terminal.parser import Parser
+from otc_dist.terminal.printable import aligned, say
 
 DESCRIPTION = """\
 Offline data sets B_0: one file an agent, with only that agent's <s, a_i, r, s'>.

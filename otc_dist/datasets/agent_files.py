@@ -26,10 +26,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
 from otc_dist.names import AgentName, DatasetId, EnvironmentId
-from otc_dist.records import why
 from otc_dist.spec import Size
+from otc_dist.system.records import why
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Transitions, choice_problem
 
 FORMAT_VERSION = 1

@@ -13,7 +13,7 @@ from importlib.resources.abc import Traversable
 import numpy as np
 from safetensors.numpy import load
 
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32
 
 LAYERS = ("layer_0", "layer_1", "layer_2")

@@ -20,9 +20,9 @@ import numpy as np
 
 from otc_dist.datasets.hdf5 import array
 from otc_dist.datasets.recording import Recording, flags, joint_sizes, numbers
-from otc_dist.datasets.resimulation import resimulate
-from otc_dist.errors import UserError
+from otc_dist.datasets.successors import resimulate
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, Float32
 
 if TYPE_CHECKING:

@@ -9,15 +9,15 @@ policy begins with the rows of a shorter one.
 import numpy as np
 from numpy.typing import NDArray
 
+from otc_dist.datasets.episode_arrays import Played, Rows, Views
 from otc_dist.datasets.joint import JointTransitions
-from otc_dist.datasets.rows import Played, Rows, Views
 from otc_dist.datasets.source import ActionSlices, Behaviour, Part, Source
 from otc_dist.datasets.sources import source_of
 from otc_dist.envs import registry
 from otc_dist.envs.base import Outcome
-from otc_dist.errors import UserError, unknown
-from otc_dist.progress import Report, silent
 from otc_dist.randomness import derive_seed, stream
+from otc_dist.terminal.errors import UserError, unknown
+from otc_dist.terminal.progress import Report, silent
 from otc_dist.transitions import Float32
 
 # Copies that play at the same time: enough to share the policy's cost and to use some threads,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.errors import UserError
-from otc_dist.extras import install
+from otc_dist.system.extras import install
+from otc_dist.terminal.errors import UserError
 
 if TYPE_CHECKING:
     import h5py

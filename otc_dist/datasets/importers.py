@@ -14,10 +14,10 @@ from otc_dist.datasets.recording import split
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
 from otc_dist.envs.robot_specs import PARTITIONS
-from otc_dist.errors import UserError
 from otc_dist.names import checked
-from otc_dist.progress import Report, silent
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.progress import Report, silent
 from otc_dist.transitions import Bool, Float64
 
 if TYPE_CHECKING:

@@ -20,9 +20,9 @@ from otc_dist.deployment_log.salvage import Salvage
 from otc_dist.deployment_log.seeds import OwnSteps
 from otc_dist.deployment_log.several import in_order
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
-from otc_dist.progress import Report, silent
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.progress import Report, silent
 from otc_dist.transitions import Bool, Transitions, choice_problem
 
 _SUFFIXES = (".mcap", f".mcap{PARTIAL_SUFFIX}")

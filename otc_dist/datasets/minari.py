@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from otc_dist.datasets.hdf5 import array, attributes, names
 from otc_dist.datasets.recording import Recording, flags, joint_sizes, numbers
-from otc_dist.errors import UserError
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.errors import UserError
 
 if TYPE_CHECKING:
     import h5py

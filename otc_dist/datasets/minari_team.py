@@ -18,8 +18,8 @@ from otc_dist.datasets import minari
 from otc_dist.datasets.hdf5 import array, attributes, names
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.recording import clipped, flags, numbers
-from otc_dist.errors import UserError
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, Float32, choice_problem
 
 if TYPE_CHECKING:

@@ -7,12 +7,12 @@ that an import gave. The folder of a set is `<cache>/datasets/<env_id>/<level>/<
 from dataclasses import dataclass
 from pathlib import Path
 
-from otc_dist.cache import cache_root
 from otc_dist.datasets.source import Source
 from otc_dist.datasets.sources import source_of
 from otc_dist.envs import registry
-from otc_dist.errors import UserError, unknown
 from otc_dist.names import is_name
+from otc_dist.system.cache import cache_root
+from otc_dist.terminal.errors import UserError, unknown
 
 
 @dataclass(frozen=True)

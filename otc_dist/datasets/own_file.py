@@ -9,7 +9,7 @@ from otc_dist.datasets.card import FILE_NAME, AgentFile, DatasetCard, episode_re
 from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.writing import add_file, locked
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 
 def is_agent_file(path: Path) -> bool:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.datasets.joint import JointTransitions
-from otc_dist.errors import UserError
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, Float32
 
 

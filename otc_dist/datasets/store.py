@@ -23,8 +23,8 @@ from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.source import Source
 from otc_dist.datasets.writing import Provenance, locked, publish, versions
 from otc_dist.envs import registry
-from otc_dist.errors import UserError, unknown
-from otc_dist.progress import Report, silent
+from otc_dist.terminal.errors import UserError, unknown
+from otc_dist.terminal.progress import Report, silent
 from otc_dist.transitions import Float64
 
 __all__ = ["agent_file", "ensure", "load_agent", "load_joint", "usual_size"]

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import otc_dist
-from otc_dist import durable, locks
 from otc_dist.datasets.agent_files import FORMAT_VERSION, Header, encode
 from otc_dist.datasets.card import (
     FILE_NAME,
@@ -25,10 +24,11 @@ from otc_dist.datasets.card import (
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.names import DatasetName
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
-from otc_dist.kernel import thread_times
+from otc_dist.system import durable, locks
+from otc_dist.system.kernel import thread_times
+from otc_dist.system.versions import of_packages
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float64
-from otc_dist.versions import of_packages
 
 _LOCK = ".lock"
 _STAGING = ".making-"  # a set that is being written; never read

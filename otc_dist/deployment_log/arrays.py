@@ -14,8 +14,8 @@ from otc_dist.deployment_log.extent import Extent
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import Rows
-from otc_dist.errors import UserError
-from otc_dist.extras import install
+from otc_dist.system.extras import install
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, Transitions
 
 EXTRA = "pandas"  # of pyproject.toml

@@ -9,10 +9,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from otc_dist import records
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.record import Rows
-from otc_dist.errors import UserError
+from otc_dist.system import records
+from otc_dist.terminal.errors import UserError
 
 _Count = Annotated[int, Field(ge=0, lt=2**32)]
 

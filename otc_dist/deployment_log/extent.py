@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from otc_dist.deployment_log.header import LogHeader
-from otc_dist.exploration import Schedule
+from otc_dist.run.exploration import Schedule
 
 Source = Literal["finished", "unfinished"]  # a log with its end, or without
 

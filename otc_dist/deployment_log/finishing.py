@@ -9,7 +9,6 @@ import mcap
 from mcap.writer import CompressionType, Writer
 
 import otc_dist
-from otc_dist import durable
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.episodes import find_episodes, to_json
 from otc_dist.deployment_log.extent import Source, scheduled_steps
@@ -18,6 +17,7 @@ from otc_dist.deployment_log.foxglove import FoxgloveChannels
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.record import CHANNEL_ID, PAYLOAD_START, Rows
 from otc_dist.deployment_log.schema import payload_schema
+from otc_dist.system import durable
 
 log = logging.getLogger(__name__)
 

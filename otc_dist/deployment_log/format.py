@@ -17,7 +17,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 FORMAT_VERSION = 2
 MINIMUM_FORMAT_VERSION = 1  # the oldest version that this code still reads

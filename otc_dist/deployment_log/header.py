@@ -17,11 +17,11 @@ from otc_dist.deployment_log.format import (
     MINIMUM_FORMAT_VERSION,
 )
 from otc_dist.deployment_log.record import RecordLayout
-from otc_dist.errors import UserError
 from otc_dist.names import Name
-from otc_dist.records import why
 from otc_dist.spec import TeamSpec, check_team
-from otc_dist.versions import PACKAGES, of_packages
+from otc_dist.system.records import why
+from otc_dist.system.versions import PACKAGES, of_packages
+from otc_dist.terminal.errors import UserError
 
 
 def versions() -> dict[str, str]:

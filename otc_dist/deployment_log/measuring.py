@@ -6,7 +6,7 @@ import numpy as np
 
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import check_whole
-from otc_dist.measured import Measured, horizon, measure, team_rewards
+from otc_dist.run.measured_returns import Measured, horizon, measure, team_rewards
 from otc_dist.transitions import Bool, Float32
 
 

@@ -18,14 +18,14 @@ from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
-from otc_dist import records
 from otc_dist.deployment_log import chunks
 from otc_dist.deployment_log import format as fmt
 from otc_dist.deployment_log.extent import Extent, scheduled_steps
 from otc_dist.deployment_log.format import DamagedLogError, existing, unseal
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.record import CHANNEL_ID, Rows
-from otc_dist.errors import UserError
+from otc_dist.system import records
+from otc_dist.terminal.errors import UserError
 
 # What parsing bytes that were changed may raise, in the mcap library and below it.
 PARSE_ERRORS = (

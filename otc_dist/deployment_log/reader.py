@@ -9,7 +9,7 @@ from otc_dist.deployment_log.episodes import Episode, find_episodes, from_json
 from otc_dist.deployment_log.extent import Extent
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep, Transitions
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.deployment_log.format import MAXIMUM_RECORD
-from otc_dist.errors import UserError
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, JointStep, Transitions
 
 CHANNEL_ID = 1

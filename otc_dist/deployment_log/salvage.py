@@ -19,7 +19,7 @@ from otc_dist.deployment_log.extent import Source
 from otc_dist.deployment_log.format import unseal
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.record import Rows
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 _FRAME_MAGIC = bytes.fromhex("28b52ffd")  # RFC 8878
 _BLOCK = 2**20  # bytes of steps given at once

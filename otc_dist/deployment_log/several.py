@@ -5,7 +5,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from otc_dist.deployment_log.header import LogHeader
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 
 def in_order(headers: Mapping[Path, LogHeader]) -> list[Path]:

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from mcap.writer import Writer
 
-from otc_dist import durable, locks
 from otc_dist.deployment_log.finishing import begin, write_finished
 from otc_dist.deployment_log.format import DamagedLogError, partial_path
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import StepEncoder
-from otc_dist.errors import UserError
+from otc_dist.system import durable, locks
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep
 
 # To force a step to the disk takes microseconds or milliseconds, depending on the disk. It is done

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field, PositiveInt, SerializerFunctionWrapHandler, model_serializer
 
 from otc_dist.description.section import Section
-from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec, Task
+from otc_dist.terminal.errors import UserError
 
 
 class AlgorithmSection(Section):

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
 from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
-from otc_dist.errors import UserError, unknown
+from otc_dist.terminal.errors import UserError, unknown
 
 
 def assign(data: dict[str, object], assignment: str) -> None:

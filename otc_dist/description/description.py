@@ -13,7 +13,7 @@ from typing import Annotated, Self
 import tomli_w
 from pydantic import Field, PlainValidator, SerializeAsAny, ValidationError, model_validator
 
-from otc_dist import user_code
+from otc_dist.description import user_code
 from otc_dist.description.algorithms import AlgorithmSection
 from otc_dist.description.assignments import assign, explain
 from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
@@ -30,8 +30,8 @@ from otc_dist.description.sections import (
     EvaluationSection,
     OfflineSection,
 )
-from otc_dist.errors import UserError
 from otc_dist.names import Name, is_code
+from otc_dist.terminal.errors import UserError
 
 # What a summary speaks of.
 TOLD = (

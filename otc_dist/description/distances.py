@@ -5,7 +5,7 @@ A new distance is a file in `otc_dist/otc/distances/` and an entry here.
 
 from dataclasses import dataclass, field
 
-from otc_dist import user_code
+from otc_dist.description import user_code
 
 
 @dataclass(frozen=True)

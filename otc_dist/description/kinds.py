@@ -13,12 +13,12 @@ from typing import Any, Generic, Literal, TypeVar
 from pydantic import ConfigDict, Field
 from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
 
-from otc_dist import user_code
+from otc_dist.description import user_code
 from otc_dist.description.algorithms import AlgorithmSection
 from otc_dist.description.sampling import ALWAYS, SamplingSection
 from otc_dist.description.section import Section
-from otc_dist.errors import UserError
 from otc_dist.names import is_code
+from otc_dist.terminal.errors import UserError
 
 S = TypeVar("S", bound=Section)
 
@@ -127,16 +127,16 @@ ALGORITHMS = Kind(
         "cql": "otc_dist.algorithms.cql:Cql",
         "discrete-cql": "otc_dist.algorithms.discrete_cql:DiscreteCql",
         "td3bc": "otc_dist.algorithms.td3bc:Td3Bc",
-        "bremen": "otc_dist.algorithms.bremen:Bremen",
+        "bremen": "otc_dist.algorithms.bremen.algorithm:Bremen",
     },
 )
 STRATEGIES = Strategies(
     SamplingSection,
     {
-        "otc": "otc_dist.otc.correction:Correction",
-        "uniform": "otc_dist.otc.uniform:Uniform",
-        "online-only": "otc_dist.otc.online_only:OnlineOnly",
-        "balanced": "otc_dist.otc.balanced:Balanced",
+        "otc": "otc_dist.otc.samplers.correction:Correction",
+        "uniform": "otc_dist.otc.samplers.uniform:Uniform",
+        "online-only": "otc_dist.otc.samplers.online_only:OnlineOnly",
+        "balanced": "otc_dist.otc.samplers.balanced:Balanced",
     },
 )
 

@@ -149,7 +149,7 @@ class EvaluationSection(Section):
 
 
 class EngineSection(Section):
-    """What runs the update steps (otc_dist/engine.py)."""
+    """What runs the update steps (otc_dist/steps/engine.py)."""
 
     name: EngineName = Field(default="auto", description="auto resolves before the run starts")
 

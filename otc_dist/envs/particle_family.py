@@ -10,8 +10,8 @@ import numpy as np
 
 from otc_dist.envs import cooperative_navigation, navigation, predator_prey
 from otc_dist.envs.base import BatchedEnv
-from otc_dist.errors import UserError
 from otc_dist.spec import Task, TeamSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32, Float64
 
 USUAL = ("predator-prey-3", "cooperative-navigation-4", navigation.ENV_ID)  # the paper's

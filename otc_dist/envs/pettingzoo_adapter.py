@@ -22,14 +22,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist import user_code
+from otc_dist.description import user_code
 from otc_dist.envs import own_sources
 from otc_dist.envs import pettingzoo_checks as checks
 from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.envs.pettingzoo_admission import Admitted, admitted, inner
-from otc_dist.errors import UserError
 from otc_dist.names import is_code
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32, Float64, all_finite
 
 

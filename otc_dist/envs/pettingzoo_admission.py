@@ -21,9 +21,9 @@ from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
 
 from otc_dist.envs import pettingzoo_checks as checks
-from otc_dist.errors import UserError
 from otc_dist.names import check_agents
 from otc_dist.spec import AgentSpec, TeamSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, Float32
 
 MAX_STEPS = 1000  # where the environment has no `max_cycles`

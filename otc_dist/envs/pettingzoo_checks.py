@@ -15,9 +15,9 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, Space, flatten
 from numpy.typing import NDArray
 
-from otc_dist.errors import UserError
+from otc_dist.description.user_code import described
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32, all_finite
-from otc_dist.user_code import described
 
 # What `ParallelEnv`'s calls return, each a dictionary by agent.
 RETURNS = {

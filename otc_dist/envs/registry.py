@@ -13,8 +13,8 @@ from otc_dist.envs import (
     smax_adapter,
 )
 from otc_dist.envs.base import BatchedEnv
-from otc_dist.errors import unknown
 from otc_dist.spec import Task, TeamSpec
+from otc_dist.terminal.errors import unknown
 from otc_dist.transitions import Float32, Float64
 
 

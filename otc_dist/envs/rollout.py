@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.envs.base import BatchedEnv, Contest, Versioned
-from otc_dist.errors import UserError
 from otc_dist.randomness import derive_seed
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, Float32, Float64, JointStep
 
 Phase = Literal["deployment", "evaluation"]

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.envs.base import Outcome, at_least_one
-from otc_dist.envs.choices import chosen
+from otc_dist.envs.discrete_actions import chosen
 from otc_dist.envs.skirmish_rules import (
     EAST,
     FIRST_ATTACK,

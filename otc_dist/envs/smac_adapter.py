@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.envs.base import Outcome, at_least_one
-from otc_dist.envs.choices import chosen
-from otc_dist.errors import UserError, unknown
+from otc_dist.envs.discrete_actions import chosen
 from otc_dist.spec import AgentSpec, TeamSpec
+from otc_dist.terminal.errors import UserError, unknown
 from otc_dist.transitions import Bool, Float32, Float64
 
 PREFIX = "smac/"

@@ -8,7 +8,7 @@ from otc_dist.description.kinds import STRATEGIES
 
 if TYPE_CHECKING:
     from otc_dist.otc.distances.interface import Setting
-    from otc_dist.otc.samplers import Sampler
+    from otc_dist.otc.samplers.interface import Sampler
 
 
 def create_sampler(setting: Setting, capacity: int) -> Sampler:

@@ -12,10 +12,11 @@ import numpy as np
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
-from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.moments import moments
-from otc_dist.algorithms.networks import Mlp, adam, value_and_gradient
+from otc_dist.algorithms.interface import Batch
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.networks import Mlp, adam, value_and_gradient
+from otc_dist.steps.standardisation import moments
+from otc_dist.steps.state import State
 
 ACTIVE_VARIANCE = 0.01  # a dimension of mu is active above this variance over the data
 LOG_STD_RANGE = (-8.0, 4.0)

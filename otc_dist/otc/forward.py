@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import mse_loss
 
-from otc_dist.algorithms.draws import Draws, to_tensors
-from otc_dist.algorithms.interface import State
-from otc_dist.algorithms.networks import Mlp, descend, fresh_state
 from otc_dist.description import DynamicsSection
-from otc_dist.engine import Engine
 from otc_dist.otc.distances.change import Changes
 from otc_dist.otc.distances.interface import Report
-from otc_dist.otc.samplers import Random
-from otc_dist.training import BLOCK, OnBlock, train
+from otc_dist.otc.samplers.interface import Random
+from otc_dist.steps.draws import Draws, to_tensors
+from otc_dist.steps.engine import Engine
+from otc_dist.steps.networks import Mlp, descend, fresh_state
+from otc_dist.steps.state import State
+from otc_dist.steps.training import BLOCK, OnBlock, train
 from otc_dist.transitions import RowLayout
 
 FOLDS = 2

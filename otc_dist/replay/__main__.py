@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from otc_dist import user_code
 from otc_dist.deployment_log.format import DamagedLogError
-from otc_dist.errors import UserError, run_main
-from otc_dist.parser import Parser
+from otc_dist.description import user_code
 from otc_dist.replay.export.formats import FORMATS
 from otc_dist.replay.output import ended_in_order
 from otc_dist.replay.selection import step_range
+from otc_dist.terminal.errors import UserError, run_main
+from otc_dist.terminal.parser import Parser
 
 DESCRIPTION = """\
 Deployment logs (MCAP): what is in them, whether it is true, and what to make of it. Without an

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from otc_dist.replay.tape import Tape
+from otc_dist.replay.timeline import Tape
 from otc_dist.scenes.scene import (
     NOBODYS,
     Body,

@@ -19,13 +19,13 @@ from otc_dist.deployment_log.foxglove import FoxgloveChannels
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import summarise
 from otc_dist.deployment_log.several import in_order
-from otc_dist.errors import UserError
-from otc_dist.printable import say
-from otc_dist.progress import Report, shown
 from otc_dist.replay.output import claimed, note_shortfall
 from otc_dist.replay.selection import Selection, select
 from otc_dist.report.run_data import Tuning, read_run
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.printable import say
+from otc_dist.terminal.progress import Report, shown
 
 Tunings = dict[str, dict[int, Tuning]]  # agent -> deployment
 

@@ -10,10 +10,10 @@ from string import Template
 import numpy as np
 from numpy.typing import ArrayLike
 
-from otc_dist.printable import on_page, say
 from otc_dist.replay.output import claimed
-from otc_dist.replay.tape import Tape, selected_tape
+from otc_dist.replay.timeline import Tape, selected_tape
 from otc_dist.scenes.scene import Scene, agent_colour, choice_colours
+from otc_dist.terminal.printable import on_page, say
 
 _SCRIPTS = ("tape.js", "scene.js", "plots.js", "playback.js")  # in this order one program
 _SECONDS = 0.05  # a step, where no scene says how long it takes

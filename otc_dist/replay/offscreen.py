@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float64
 
 Picture = NDArray[np.uint8]  # (height, width, 3)

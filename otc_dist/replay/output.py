@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from otc_dist.deployment_log.reader import LogSummary
-from otc_dist.errors import UserError
-from otc_dist.printable import say
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.printable import say
 
 
 def note_shortfall(summary: LogSummary) -> None:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 from otc_dist.deployment_log.reader import LogSummary
 from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
 from otc_dist.spec import AgentSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep
 
 if TYPE_CHECKING:
-    from otc_dist.policy import Policy
+    from otc_dist.learner.policy import Policy
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def _policy(description: Description, agent: AgentSpec, path: Path) -> "Policy":
     """A checkpoint's policy, which acts where the run's did. Raises UserError."""
     import torch  # it takes seconds
 
-    from otc_dist.policy import Policy
+    from otc_dist.learner.policy import Policy
 
     cuda = description.engine.name == "cuda-graph"
     if cuda and not torch.cuda.is_available():

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from otc_dist import user_code
 from otc_dist.bus.agreement import longest_message
 from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
 from otc_dist.bus.history import Read
@@ -28,15 +27,15 @@ from otc_dist.deployment_log.reader import (
     read_transitions,
 )
 from otc_dist.deployment_log.several import in_order
-from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.host_state import HostState
-from otc_dist.printable import say
-from otc_dist.progress import shown
+from otc_dist.description import Description, user_code
 from otc_dist.replay.log_host import Asker, LogHost, OtherActionError, Teller
 from otc_dist.replay.output import note_shortfall
 from otc_dist.replay.selection import Selection, select
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.run.host_state import HostState
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.printable import say
+from otc_dist.terminal.progress import shown
 from otc_dist.transitions import JointStep, Transitions
 
 _Part = tuple[LogSummary, Selection]

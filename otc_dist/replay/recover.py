@@ -11,10 +11,10 @@ from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import Rows
 from otc_dist.deployment_log.salvage import Salvage
 from otc_dist.deployment_log.seeds import OwnSteps
-from otc_dist.errors import UserError
-from otc_dist.printable import say
-from otc_dist.progress import Report, shown
 from otc_dist.replay.output import claimed
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.printable import say
+from otc_dist.terminal.progress import Report, shown
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import argparse
 from dataclasses import dataclass
 
 from otc_dist.deployment_log.reader import LogSummary
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from otc_dist.printable import say
-from otc_dist.progress import shown
 from otc_dist.replay.output import claimed
-from otc_dist.replay.tape import highlights
+from otc_dist.replay.timeline import highlights
 from otc_dist.replay.video import missing
+from otc_dist.terminal.printable import say
+from otc_dist.terminal.progress import shown
 
 _COLUMNS, _ROWS = 3, 4
 _GAP = 8  # px
@@ -20,7 +20,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         from PIL import Image
 
-        from otc_dist.replay.painter import HEIGHT, WIDTH, painter
+        from otc_dist.replay.frames import HEIGHT, WIDTH, painter
     except ModuleNotFoundError as error:
         raise missing(error) from None
     out, tapes = Path(arguments.sheet), highlights(arguments)

@@ -10,8 +10,8 @@ import numpy as np
 from otc_dist.deployment_log.episodes import Episode
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import LogSummary, summarise
-from otc_dist.printable import printable, say
 from otc_dist.replay.selection import Selection, select
+from otc_dist.terminal.printable import printable, say
 from otc_dist.transitions import Float64
 
 _LABEL = 14  # characters

@@ -15,13 +15,13 @@ from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import LogSummary, summarise
 from otc_dist.deployment_log.seeds import SeedCheck
 from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.printable import say
-from otc_dist.processor import kind
-from otc_dist.progress import shown
-from otc_dist.replay import resimulation
+from otc_dist.replay import replayed_episodes
 from otc_dist.replay.policies import check_policies
 from otc_dist.replay.selection import Selection, select
+from otc_dist.system.processor import kind
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.printable import say
+from otc_dist.terminal.progress import shown
 from otc_dist.transitions import JointStep
 
 # Exit statuses, the worst first; 0: everything that could be checked holds to the bit.
@@ -159,12 +159,12 @@ def _transitions(count: int) -> str:
 
 
 def _simulation(log: OpenLog, steps: Steps) -> Iterator[Finding]:
-    env = resimulation.simulator(log)
+    env = replayed_episodes.simulator(log)
     try:
-        if others := resimulation.other_versions(log, env):
-            yield _one_step(resimulation.one_step_errors(steps, env), others)
+        if others := replayed_episodes.other_versions(log, env):
+            yield _one_step(replayed_episodes.one_step_errors(steps, env), others)
             return
-        found = resimulation.compare(log.header, steps(), env)
+        found = replayed_episodes.compare(log.header, steps(), env)
     finally:
         env.close()
     if not found.differences:
@@ -180,7 +180,7 @@ def _simulation(log: OpenLog, steps: Steps) -> Iterator[Finding]:
         yield FAILED, f"{more:,} more of {found.episodes:,} episodes differ"
 
 
-def _one_step(errors: resimulation.OneStepErrors, others: list[str]) -> Finding:
+def _one_step(errors: replayed_episodes.OneStepErrors, others: list[str]) -> Finding:
     exact = not (errors.observations.any() or errors.rewards.any() or errors.ends)
     median, most, largest = np.percentile(errors.observations, (50, 95, 100))
     return (

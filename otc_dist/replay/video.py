@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from otc_dist.errors import UserError
-from otc_dist.extras import install
-from otc_dist.printable import say
-from otc_dist.progress import shown
 from otc_dist.replay.output import claimed
-from otc_dist.replay.tape import highlights
+from otc_dist.replay.timeline import highlights
+from otc_dist.system.extras import install
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.printable import say
+from otc_dist.terminal.progress import shown
 
 _RATE = 30  # frames a second, at most about
 _QUALITY = "20"  # x264's constant rate factor: smaller is better
@@ -22,7 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         import av
 
-        from otc_dist.replay.painter import HEIGHT, WIDTH, painter
+        from otc_dist.replay.frames import HEIGHT, WIDTH, painter
     except ModuleNotFoundError as error:
         raise missing(error) from None
     out, tapes = Path(arguments.video), highlights(arguments)

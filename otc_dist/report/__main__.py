@@ -3,11 +3,11 @@
 from importlib import import_module
 from pathlib import Path
 
-from otc_dist.errors import run_main
-from otc_dist.parser import Parser
-from otc_dist.printable import say
 from otc_dist.report.write import write_report
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import run_main
+from otc_dist.terminal.parser import Parser
+from otc_dist.terminal.printable import say
 
 
 def command_line() -> Parser:

@@ -11,7 +11,7 @@ from typing import Annotated
 from pydantic import ConfigDict, Field, FiniteFloat
 from typing_extensions import TypedDict
 
-from otc_dist import records
+from otc_dist.system import records
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 

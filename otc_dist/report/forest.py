@@ -4,10 +4,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from otc_dist.printable import on_page
 from otc_dist.report.axes import Axis, Range
 from otc_dist.report.numbers import NOTHING, signed
 from otc_dist.report.svg import LETTER, colour_class
+from otc_dist.terminal.printable import on_page
 
 _ROW, _TOP, _BOTTOM, _EDGE = 30.0, 34.0, 40.0, 8.0  # px
 _NUMBER = 66.0  # px, of the mean to the right

@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from otc_dist.printable import on_page
 from otc_dist.report import svg
+from otc_dist.terminal.printable import on_page
 
 _STYLE = """
 :root { color-scheme: light dark; --page: #f5f6f8; --card: #ffffff; --text: #1b2430;

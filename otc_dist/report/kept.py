@@ -3,14 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from otc_dist import keeping
-from otc_dist.measured import Measured
 from otc_dist.report import html
 from otc_dist.report.axes import Range
 from otc_dist.report.numbers import NOTHING, column, columns, number
+from otc_dist.report.return_statistics import Spread
 from otc_dist.report.run_data import RunData
-from otc_dist.report.statistics import Spread
 from otc_dist.report.svg import Reference, Series, line_chart
+from otc_dist.run import recommendation
+from otc_dist.run.measured_returns import Measured
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def estimates(run: RunData) -> list[Estimate]:
             **asdict(found),
             horizon=run.horizon,
             greedy_return=greedy_return(run, k - 1),
-            reverted_to=keeping.reverted(known[:k])
+            reverted_to=recommendation.reverted(known[:k])
             if reverts and k <= min(len(known), run.description.deployment.count)
             else None,
         )
@@ -70,7 +70,7 @@ def recommended(run: RunData) -> dict[str, object] | None:
     measured = [run.measured.get(k) for k in range(1, run.deployments + 1)]
     if keep == "best":
         measured = list(_known(run))
-    found = keeping.recommended(keep, measured, min(run.deployments, settings.count))
+    found = recommendation.recommended(keep, measured, min(run.deployments, settings.count))
     one = next((row for row in table if row.deployment == found.deployment), None)
     return {
         "deployment": found.deployment,

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from otc_dist.report import kept
+from otc_dist.report.return_statistics import Spread, improvement
 from otc_dist.report.run_data import Evaluation, RunData
-from otc_dist.report.statistics import Spread, improvement
 from otc_dist.report.verdict import verdict
 
 QUICK_LABEL = "a quick look, not a result"

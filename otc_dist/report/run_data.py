@@ -7,15 +7,16 @@ from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
-from otc_dist import keeping, records
 from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.description import Description
 from otc_dist.description.distances import TOLD
-from otc_dist.errors import UserError
-from otc_dist.measured import Measured, TooFewError
 from otc_dist.report import files, uniform
 from otc_dist.report.uniform import Uniform
-from otc_dist.run_folder import RunFolder
+from otc_dist.run import recommendation
+from otc_dist.run.folder import RunFolder
+from otc_dist.run.measured_returns import Measured, TooFewError
+from otc_dist.system import records
+from otc_dist.terminal.errors import UserError
 
 T = TypeVar("T")
 
@@ -104,7 +105,7 @@ class RunData:
     def ended_by_floor(self) -> bool:
         """Whether the last deployment was the last since it measured too little."""
         settings = self.description.deployment
-        ends = keeping.ends(settings.floor, self.measured.get(self.deployments))
+        ends = recommendation.ends(settings.floor, self.measured.get(self.deployments))
         return ends and self.deployments < settings.total
 
 

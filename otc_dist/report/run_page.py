@@ -4,13 +4,13 @@ import shlex
 from collections.abc import Mapping
 from datetime import datetime
 
-from otc_dist.exploration import Schedule
 from otc_dist.report import html, kept, learners
 from otc_dist.report.numbers import NOTHING, number, percent, signed
 from otc_dist.report.results import QUICK_LABEL, offline_row, tuned
 from otc_dist.report.returns import learning_curve, returns_table
 from otc_dist.report.run_data import RunData
 from otc_dist.report.verdict import verdict
+from otc_dist.run.exploration import Schedule
 
 
 def render(run: RunData) -> str:

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from otc_dist.printable import on_page
 from otc_dist.report.axes import Axis, Range
 from otc_dist.report.numbers import number
+from otc_dist.terminal.printable import on_page
 
 # Of light and of dark pages, in order; the first six are those of agents wherever they are shown.
 _PALETTE = (

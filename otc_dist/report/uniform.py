@@ -7,9 +7,9 @@ from pydantic import BaseModel, FiniteFloat, ValidationError
 
 from otc_dist.description import Description
 from otc_dist.description.kinds import STRATEGIES
-from otc_dist.errors import UserError
-from otc_dist.otc.uniform import UniformSection
-from otc_dist.run_folder import RunFolder
+from otc_dist.otc.samplers.uniform import UniformSection
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 
 
 @dataclass(frozen=True)

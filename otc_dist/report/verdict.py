@@ -7,8 +7,8 @@ from typing import Literal
 
 from otc_dist.report import kept
 from otc_dist.report.numbers import MINUS, signed
+from otc_dist.report.return_statistics import improvement, student_interval
 from otc_dist.report.run_data import Evaluation, RunData
-from otc_dist.report.statistics import improvement, student_interval
 
 Tone = Literal["good", "bad", "open"]
 

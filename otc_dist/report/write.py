@@ -5,12 +5,12 @@ import logging
 from collections.abc import Mapping
 from pathlib import Path
 
-from otc_dist import durable
-from otc_dist.errors import UserError
 from otc_dist.report.results import results, to_json
 from otc_dist.report.run_data import read_run
 from otc_dist.report.run_page import render
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.system import durable
+from otc_dist.terminal.errors import UserError
 
 log = logging.getLogger(__name__)
 

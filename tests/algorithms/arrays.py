@@ -3,7 +3,8 @@
 import numpy as np
 import torch
 
-from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.interface import Batch
+from otc_dist.steps.state import State
 
 
 def random_batch(random: np.random.Generator, s: int, a: int, size: int) -> Batch:

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.draws import draw
-from otc_dist.algorithms.interface import Algorithm, Batch, P, State, T
-from otc_dist.engine import Engine
+from otc_dist.algorithms.interface import Algorithm, Batch
+from otc_dist.steps.draws import draw
+from otc_dist.steps.engine import Engine
+from otc_dist.steps.state import P, State, T
 
 from ..references import Standardised
 from .arrays import first, random_batch

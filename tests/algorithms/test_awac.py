@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from otc_dist.algorithms.awac import Awac, AwacSection
-from otc_dist.algorithms.draws import draw
-from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.interface import Batch
+from otc_dist.steps.draws import draw
+from otc_dist.steps.state import State
 
 from .. import references_awac
 from .arrays import double, first, random_batch

@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from otc_dist.algorithms.bcq import Bcq, BcqSection
-from otc_dist.algorithms.draws import draw
-from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.interface import Batch
+from otc_dist.steps.draws import draw
+from otc_dist.steps.state import State
 
 from .. import references
 

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from otc_dist.algorithms.advantages import generalised_advantages
-from otc_dist.algorithms.bremen import Bremen, BremenSection
-from otc_dist.algorithms.draws import draw
-from otc_dist.algorithms.interface import Batch, State, unpack
-from otc_dist.engine import Engine
+from otc_dist.algorithms.bremen.advantages import generalised_advantages
+from otc_dist.algorithms.bremen.algorithm import Bremen, BremenSection
+from otc_dist.algorithms.interface import Batch, unpack
+from otc_dist.steps.draws import draw
+from otc_dist.steps.engine import Engine
+from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
 from .. import references_bremen
@@ -122,7 +123,9 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
 def test_improvements_equal_the_plain_version_in_float64(
     s: int, a: int, hidden: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("otc_dist.algorithms.policy_step.PART", 60)  # of 7 x 32: with a remainder
+    monkeypatch.setattr(
+        "otc_dist.algorithms.bremen.policy_step.PART", 60
+    )  # of 7 x 32: with a remainder
     bremen = make(s, a, hidden)
     random = np.random.default_rng(1)
     state, offline = start(bremen, random)
@@ -290,7 +293,9 @@ def test_compiled_agrees_with_eager() -> None:
 @pytest.mark.slow
 def test_compiled_improvements_agree_with_eager(monkeypatch: pytest.MonkeyPatch) -> None:
     """With those of double precision: in single precision three steps of one engine drift apart."""
-    monkeypatch.setattr("otc_dist.algorithms.policy_step.PART", 60)  # of 7 x 32: with a remainder
+    monkeypatch.setattr(
+        "otc_dist.algorithms.bremen.policy_step.PART", 60
+    )  # of 7 x 32: with a remainder
     bremen = make(4, 2, (8, 8), task=Endless())
     state, batch = start(bremen, np.random.default_rng(12))
     found = []

@@ -13,10 +13,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from otc_dist import checkpoint
 from otc_dist.algorithms import create
-from otc_dist.algorithms.draws import Draw, draw
-from otc_dist.algorithms.interface import Algorithm, Batch, Critic, Improving, State
+from otc_dist.algorithms.interface import Algorithm, Batch, Critic, Improving
 from otc_dist.datasets import store
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.names import DatasetName
@@ -24,9 +22,12 @@ from otc_dist.datasets.writing import Provenance, locked, publish
 from otc_dist.description import Description
 from otc_dist.description.kinds import ALGORITHMS
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
-from otc_dist.learner import Learner
+from otc_dist.learner import checkpoint
+from otc_dist.learner.learner import Learner
 from otc_dist.spec import AgentSpec
+from otc_dist.steps.draws import Draw, draw
+from otc_dist.steps.state import State
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Transitions
 
 from ..brains import ONLINE, SMALL, SPEC, silent, transitions, unsaved

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from otc_dist.algorithms.cql import Cql, CqlSection
-from otc_dist.algorithms.draws import draw
-from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.interface import Batch
+from otc_dist.steps.draws import draw
+from otc_dist.steps.state import State
 
 from .. import references_cql
 from .arrays import double, first, random_batch

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.learner import Learner, Progress
+from otc_dist.learner.learner import Learner, Progress
 from otc_dist.spec import AgentSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Transitions
 
 from .. import brains

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from otc_dist.algorithms.discrete_cql import DiscreteCql, DiscreteCqlSection
-from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.interface import Batch
+from otc_dist.steps.state import State
 
 from .. import references_cql
 from .arrays import double, random_choices

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.networks import LARGE, Mlp, value_and_gradient
+from otc_dist.steps.networks import LARGE, Mlp, value_and_gradient
 
 TWINS = Mlp(inputs=(5, 2), hidden=(128, 128), outputs=1, copies=2)
 

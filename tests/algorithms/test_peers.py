@@ -18,10 +18,11 @@ from otc_dist.algorithms.bcq import Bcq, BcqSection
 from otc_dist.algorithms.cql import Cql, CqlSection
 from otc_dist.algorithms.critics import td_target
 from otc_dist.algorithms.discrete_cql import DiscreteCql, DiscreteCqlSection
-from otc_dist.algorithms.draws import draw
-from otc_dist.algorithms.interface import Batch, State
-from otc_dist.algorithms.networks import Mlp
+from otc_dist.algorithms.interface import Batch
 from otc_dist.algorithms.td3bc import Td3Bc, Td3BcSection
+from otc_dist.steps.draws import draw
+from otc_dist.steps.networks import Mlp
+from otc_dist.steps.state import State
 
 from .arrays import double, first, random_batch, random_choices
 

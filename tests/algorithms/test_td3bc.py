@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from otc_dist.algorithms.draws import draw
-from otc_dist.algorithms.interface import Batch, State
+from otc_dist.algorithms.interface import Batch
 from otc_dist.algorithms.td3bc import Td3Bc, Td3BcSection
+from otc_dist.steps.draws import draw
+from otc_dist.steps.state import State
 
 from .. import references_td3bc
 from .arrays import double, first, random_batch

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.trust_region import (
+from otc_dist.algorithms.bremen.trust_region import (
     Step,
     conjugate_gradient,
     gauss_newton_product,

@@ -18,7 +18,7 @@ from otc_dist.bus.status import StatusBoard
 from otc_dist.bus.wire import PROTOCOL_VERSION, Rejections
 from otc_dist.description import Description
 from otc_dist.envs.registry import team_spec
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
 from otc_dist.services.history import history_of
 from otc_dist.services.process import Run
 from otc_dist.spec import AgentSpec

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist import certs
 from otc_dist.bus.access import host_rules, router_rules
 from otc_dist.bus.endpoints import Door, door
 from otc_dist.bus.keys import HOST, OBSERVER
 from otc_dist.bus.links import QUICK_PAYLOAD, zenoh
 from otc_dist.bus.session import Session
+from otc_dist.certs import authority
 
 from .conftest import free_port
 from .intrusion import AGENTS, ATTACKS, EVERYTHING, KEYS, OWN, PATIENCE, WIDE, Bus
@@ -32,7 +32,7 @@ def _bus(folder: Path, centre: str, *, ruled: bool) -> Iterator[Bus]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("certs")
-    list(certs.make(made, AGENTS, ["127.0.0.1"], days=30))
+    list(authority.make(made, AGENTS, ["127.0.0.1"], days=30))
     return made
 
 

@@ -9,7 +9,7 @@ from otc_dist.bus import session
 from otc_dist.bus.diagnosis import absence, refusal
 from otc_dist.bus.endpoints import Door
 from otc_dist.bus.links import QUICK_PAYLOAD
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 from .conftest import free_port
 

@@ -13,7 +13,7 @@ import pytest
 
 from otc_dist.bus import endpoints
 from otc_dist.bus.endpoints import local_endpoint, local_socket, remove_local_endpoint
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 LONG = "long" * 30  # no socket has so long a path
 

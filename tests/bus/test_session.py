@@ -25,8 +25,8 @@ from otc_dist.bus.messages import Action, Moment, Observation
 from otc_dist.bus.replies import RunSpec
 from otc_dist.bus.session import Session
 from otc_dist.bus.wire import Rejections
-from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec
+from otc_dist.terminal.errors import UserError
 
 PATIENCE = 60.0  # seconds; only a test that fails waits as long
 

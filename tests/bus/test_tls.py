@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist import certs
 from otc_dist.bus.access import host_rules
 from otc_dist.bus.diagnosis import refusal
 from otc_dist.bus.endpoints import Door, door
@@ -21,7 +20,9 @@ from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from otc_dist.bus.keys import HOST, OBSERVER, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
 from otc_dist.bus.session import Session
-from otc_dist.errors import UserError
+from otc_dist.certs import authority
+from otc_dist.certs.__main__ import main as certs
+from otc_dist.terminal.errors import UserError
 
 from .conftest import free_port
 
@@ -31,7 +32,7 @@ PATIENCE = 30.0
 
 
 def _make(folder: Path, *names: str, days: float = 30) -> Path:
-    list(certs.make(folder, AGENTS, names or ("127.0.0.1",), days))
+    list(authority.make(folder, AGENTS, names or ("127.0.0.1",), days))
     return folder
 
 
@@ -251,7 +252,7 @@ def test_certificates_that_cannot_serve(ours: Path, theirs: Path, tmp_path: Path
 
 def test_making_certificates_again_keeps_the_good_ones(tmp_path: Path) -> None:
     def made(agents: tuple[str, ...], names: tuple[str, ...]) -> list[str]:
-        lines = certs.make(folder, agents, names, 30)
+        lines = authority.make(folder, agents, names, 30)
         return [line.rpartition("/")[2].split(",")[0] for line in lines]
 
     folder, names = tmp_path / "certs", ("a.example.org", "192.0.2.1")
@@ -272,13 +273,13 @@ def test_making_certificates_again_keeps_the_good_ones(tmp_path: Path) -> None:
 def test_nobody_else_gets_at_certificates_whatever_the_umask(tmp_path: Path) -> None:
     before = os.umask(0)
     try:
-        list(certs.make(tmp_path / "new" / "certs", AGENTS, ["a.example.org"], 30))
+        list(authority.make(tmp_path / "new" / "certs", AGENTS, ["a.example.org"], 30))
         (tmp_path / "open").mkdir()
     finally:
         os.umask(before)
     for folder in (tmp_path / "new" / "certs").rglob("."):
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700, folder
-    refused = _refusal(lambda: certs.main([str(tmp_path / "open"), "--agents", "1"]))
+    refused = _refusal(lambda: certs([str(tmp_path / "open"), "--agents", "1"]))
     assert "others can write in" in refused
     assert list((tmp_path / "open").iterdir()) == []
 
@@ -295,14 +296,14 @@ def test_nobody_else_gets_at_certificates_whatever_the_umask(tmp_path: Path) -> 
     ],
 )
 def test_mistakes_with_certs_are_one_line(argv: list[str], says: str, tmp_path: Path) -> None:
-    assert says in _refusal(lambda: certs.main([str(tmp_path / "certs"), *argv]))
+    assert says in _refusal(lambda: certs([str(tmp_path / "certs"), *argv]))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "authority").mkdir()
     (tmp_path / "authority" / CERTIFICATE).write_text("mine")
-    assert "delete" in _refusal(lambda: certs.main([str(tmp_path), "--agents", "1"]))
+    assert "delete" in _refusal(lambda: certs([str(tmp_path), "--agents", "1"]))
     assert (tmp_path / "authority" / CERTIFICATE).read_text() == "mine"
 
 

@@ -11,8 +11,8 @@ from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
-from otc_dist.launch import descriptions
-from otc_dist.launch.resolve import resolve
+from otc_dist.launch.plan import descriptions
+from otc_dist.launch.run.resolve import resolve
 
 SEEDS = (0, 1)
 VERSIONS = {"otc-dist": "test"}

@@ -5,7 +5,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from otc_dist import team
 from otc_dist.comparison import analyses, runs
 from otc_dist.comparison.analyses import Analysis
 from otc_dist.comparison.arms import ANALYSES, ORACLE, PERFECT, check, describe, parse_arms
@@ -14,11 +13,12 @@ from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.datasets import store
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.description import Description
-from otc_dist.engine import Engine
-from otc_dist.errors import UserError
-from otc_dist.learner import Learner
+from otc_dist.learner import team
+from otc_dist.learner.learner import Learner
 from otc_dist.otc.data import Data
-from otc_dist.otc.samplers import Extent, Held, Sampler
+from otc_dist.otc.samplers.interface import Extent, Held, Sampler
+from otc_dist.steps.engine import Engine
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32
 
 from .conftest import VERSIONS, silent

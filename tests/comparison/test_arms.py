@@ -19,8 +19,9 @@ from otc_dist.comparison.arms import (
 from otc_dist.comparison.meanings import MEANINGS
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.launch import compare, run_command
+from otc_dist.launch.compare import command as compare
+from otc_dist.launch.run import command as run_command
+from otc_dist.terminal.errors import UserError
 
 
 def test_the_reference_and_the_null_arm_are_always_among_the_arms() -> None:

@@ -9,8 +9,8 @@ from otc_dist.comparison import charts, report
 from otc_dist.comparison.arms import NULL, REFERENCE
 from otc_dist.comparison.colours import colours
 from otc_dist.comparison.picture import picture
+from otc_dist.comparison.score_statistics import summarise
 from otc_dist.comparison.scores import Run
-from otc_dist.comparison.statistics import summarise
 from otc_dist.description import Description
 from otc_dist.report.forest import Row, forest, reach
 

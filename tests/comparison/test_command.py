@@ -12,9 +12,10 @@ from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.launch import compare, comparison_jobs, descriptions, mechanism
-from otc_dist.processor import processor
+from otc_dist.launch.compare import command, job_graph, mechanism
+from otc_dist.launch.plan import descriptions
+from otc_dist.system.processor import processor
+from otc_dist.terminal.errors import UserError
 
 
 @pytest.mark.parametrize(
@@ -32,31 +33,31 @@ from otc_dist.processor import processor
 def test_a_mistake_is_one_clear_line(flags: tuple[str, ...], told: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with pytest.raises(UserError, match=told) as error:
-        compare.main(["3agent_hopper", "--set", "engine.name=eager", "--out", str(out), *flags])
+        command.main(["3agent_hopper", "--set", "engine.name=eager", "--out", str(out), *flags])
     assert "\n" not in str(error.value)
     assert not out.exists()
 
 
 def test_a_folder_of_another_description_is_refused(base: Description, tmp_path: Path) -> None:
     folder = ComparisonFolder(tmp_path / "out")
-    with comparison_jobs.opened(folder, base):
+    with job_graph.opened(folder, base):
         pass
     other = base.with_assignments("offline.updates=70")
     with (
         pytest.raises(UserError, match=r"begun with offline\.updates = 60, and this is 70"),
-        comparison_jobs.opened(folder, other),
+        job_graph.opened(folder, other),
     ):
         pass
     without = base.model_copy(update={"summary": "as shipped", "seed": 9})
     with (
         pytest.raises(UserError, match="begun with seed = 0, and this is 9"),
-        comparison_jobs.opened(folder, without),
+        job_graph.opened(folder, without),
     ):
         pass
     (tmp_path / "thesis.tex").touch()
     with (
         pytest.raises(UserError, match="holds something else"),
-        comparison_jobs.opened(ComparisonFolder(tmp_path), base),
+        job_graph.opened(ComparisonFolder(tmp_path), base),
     ):
         pass
 
@@ -69,16 +70,16 @@ def test_a_comparison_does_not_go_on_with_other_data(
         "3agent_hopper", ["dataset.name=random", "dataset.transitions=60"], None, quick=True
     )
     folder = ComparisonFolder(tmp_path / "compared")
-    with comparison_jobs.opened(folder, base):
+    with job_graph.opened(folder, base):
         store.ensure(base.dataset.name, 60)
-        comparison_jobs.note_inputs(folder, base)  # as when the data have been made
-    with comparison_jobs.opened(folder, base):
+        job_graph.note_inputs(folder, base)  # as when the data have been made
+    with job_graph.opened(folder, base):
         pass
     with store.agent_file(base.dataset.name, "agent_1", 60).open("ab") as file:
         file.write(b"other")
     with (
         pytest.raises(UserError, match=r"the data of agent_1 .* are others"),
-        comparison_jobs.opened(folder, base),
+        job_graph.opened(folder, base),
     ):
         pass
 
@@ -92,7 +93,7 @@ def test_a_finished_comparison_is_printed_again(
 ) -> None:
     finished.report.unlink(missing_ok=True)
     flags = ["--arms", "otc-embedding", "--out", str(finished.root), "--quick", *tiny_flags]
-    assert compare.main(["3agent_hopper", "--seeds", "0,1", *flags]) == 0
+    assert command.main(["3agent_hopper", "--seeds", "0,1", *flags]) == 0
     out = capsys.readouterr().out
     assert ", 0 of them to do" in out
     assert "2 complete seeds (a quick look, not a result)" in out
@@ -105,7 +106,7 @@ def test_an_arm_with_its_own_pi_0_is_trained_and_evaluated_once_for_all_that_sha
     folder = ComparisonFolder(tmp_path)
     own = ["greedy=algorithm.discount=0.5", "corrected=algorithm.discount=0.5,sampling.name=otc"]
     arms = arms_of.parse_arms("uniform", own)
-    jobs = {job.name: job for job in comparison_jobs.comparison(folder, base, arms, (0,))}
+    jobs = {job.name: job for job in job_graph.comparison(folder, base, arms, (0,))}
     shared, mine = jobs["seed 0, arm uniform"], jobs["seed 0, arm greedy"]
     assert jobs["seed 0, arm corrected"].needs == mine.needs
     assert set(mine.needs).isdisjoint(shared.needs) and len(mine.needs) == 4
@@ -126,7 +127,7 @@ def test_tables_need_the_raw_scores_only(
     kept = tmp_path / "tuning" / "hopper"
     flags = ["--arms", "otc-embedding", "--out", str(finished.root), "--quick", *tiny_flags]
     flags += ["--seeds", "0,1", "--results", str(kept)]
-    assert compare.main(["3agent_hopper", *flags]) == 0
+    assert command.main(["3agent_hopper", *flags]) == 0
     files = [str(path.relative_to(kept)) for path in kept.rglob("*") if path.is_file()]
     arms = ("otc-embedding", "pi_0", "uniform", "uniform-null")
     assert set(files) == {
@@ -136,7 +137,7 @@ def test_tables_need_the_raw_scores_only(
     shown = capsys.readouterr().out
     monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "no data"))
     for folder in (kept, finished.root):
-        assert compare.main(["--tables", str(folder)]) == 0
+        assert command.main(["--tables", str(folder)]) == 0
         out = capsys.readouterr().out
         label = f" ({descriptions.QUICK_LABEL})"
         assert out.startswith(f"3agent_hopper, hopper-3x1/medium-replay{label}; on {processor()}\n")
@@ -145,12 +146,12 @@ def test_tables_need_the_raw_scores_only(
         words = ("minus pi_0", "minus uniform", "by t", "IQM", "worst deployed policy")
         assert all(word in tables for word in words)
     drawn = tmp_path / "returns.svg"
-    assert compare.main(["--tables", str(kept), "--picture", str(drawn)]) == 0
+    assert command.main(["--tables", str(kept), "--picture", str(drawn)]) == 0
     assert capsys.readouterr().out.split("\n", 1)[1].strip() == tables
     curves = ElementTree.fromstring(drawn.read_text()).iter("{http://www.w3.org/2000/svg}path")
     assert sum(path.get("class") == "curve" for path in curves) >= 3  # an arm's each, and legends
     (kept / "seed_01" / "uniform.json").unlink()
-    assert compare.main(["--tables", str(kept)]) == 0
+    assert command.main(["--tables", str(kept)]) == 0
     assert "of 1 seeds" in capsys.readouterr().out
 
 
@@ -187,7 +188,7 @@ def test_a_damaged_folder_of_scores_is_one_clear_line(
         uniform = (tmp_path / "seed_00" / "uniform.json").read_text()
         path.write_text(uniform if content == "copy" else content)
     with pytest.raises(UserError, match=told) as error:
-        compare.main(["--tables", str(tmp_path)])
+        command.main(["--tables", str(tmp_path)])
     assert "\n" not in str(error.value)
 
 
@@ -197,19 +198,19 @@ def test_the_folder_of_a_run_is_none_of_a_comparison(base: Description, tmp_path
     before = sorted(tmp_path.iterdir())
     for words in (["--tables"], ["3agent_hopper", "--quick", "--out"]):
         with pytest.raises(UserError, match="is a run's folder, no comparison's"):
-            compare.main([*words, str(tmp_path)])
+            command.main([*words, str(tmp_path)])
     assert sorted(tmp_path.iterdir()) == before
 
 
 def test_tables_run_nothing_and_so_take_no_other_flag(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="leave out --seeds"):
-        compare.main(["--tables", str(tmp_path), "--seeds", "0"])
+        command.main(["--tables", str(tmp_path), "--seeds", "0"])
     with pytest.raises(UserError, match="leave out the description"):
-        compare.main(["3agent_hopper", "--tables", str(tmp_path)])
+        command.main(["3agent_hopper", "--tables", str(tmp_path)])
     with pytest.raises(UserError, match="--picture draws what --tables shows: give both"):
-        compare.main(["3agent_hopper", "--picture", str(tmp_path / "a.svg")])
+        command.main(["3agent_hopper", "--picture", str(tmp_path / "a.svg")])
     with pytest.raises(UserError, match="compare which description"):
-        compare.main([])
+        command.main([])
 
 
 def test_the_mechanism_takes_the_offline_policies_of_a_comparison_as_they_are(

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.launch import jobs as jobs_module
-from otc_dist.launch import standstill
-from otc_dist.launch.health import LIMIT
-from otc_dist.launch.jobs import FailedError, Job, StoppedError, Teller, run_jobs
+from otc_dist.launch.supervise import jobs as jobs_module
+from otc_dist.launch.supervise import standstill
+from otc_dist.launch.supervise.health import LIMIT
+from otc_dist.launch.supervise.jobs import FailedError, Job, StoppedError, Teller, run_jobs
 
 PATIENCE = 60.0  # seconds; only a test that fails waits as long
 MAKE = "import sys, pathlib; pathlib.Path(sys.argv[1]).touch()"

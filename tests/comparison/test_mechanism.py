@@ -4,23 +4,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from otc_dist.comparison import mechanism, mechanism_table, perfect
-from otc_dist.comparison.mechanism_pool import successor_errors
-from otc_dist.comparison.mechanism_table import (
-    ONLINE,
-    ORACLE,
-    UNIFORM,
-    Estimate,
-    Mechanism,
-)
-from otc_dist.comparison.mechanism_ways import TENTH
+from otc_dist.comparison import perfect
+from otc_dist.comparison.frozen_agent import Specimen
+from otc_dist.comparison.mechanism import check, table
+from otc_dist.comparison.mechanism.pool import successor_errors
+from otc_dist.comparison.mechanism.selectors import TENTH
+from otc_dist.comparison.mechanism.table import ONLINE, ORACLE, UNIFORM, Estimate, Mechanism
 from otc_dist.comparison.scores import ComparisonFolder
-from otc_dist.comparison.specimen import Specimen
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
-from otc_dist.errors import UserError
-from otc_dist.otc.balanced import BalancedSection
+from otc_dist.otc.samplers.balanced import BalancedSection
+from otc_dist.terminal.errors import UserError
 
 from .conftest import SEEDS, silent
 
@@ -30,11 +25,11 @@ ORACLE_TENTH = f"{ORACLE}, {TENTH}"
 @pytest.fixture(scope="module")
 def measured(finished: ComparisonFolder, base: Description) -> Mechanism:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mechanism, "POOL", 600)
-        patch.setattr(mechanism, "MINIBATCHES", 60)
+        patch.setattr(check, "POOL", 600)
+        patch.setattr(check, "MINIBATCHES", 60)
         for seed in SEEDS:
-            mechanism.measure(finished, base, seed, "test", silent)
-    return mechanism_table.read([finished.mechanism("test", seed) for seed in SEEDS])
+            check.measure(finished, base, seed, "test", silent)
+    return table.read([finished.mechanism("test", seed) for seed in SEEDS])
 
 
 def test_the_oracle_selects_less_mismatch_and_the_null_row_as_much(measured: Mechanism) -> None:
@@ -114,13 +109,13 @@ def test_balanced_replay_selects_what_its_density_ratio_has_learned(
     """The newest data come with a priority of half of all. What they have after L updates is what
     w, which learned from them, gives them.
     """
-    monkeypatch.setattr(mechanism, "POOL", 600)
-    monkeypatch.setattr(mechanism, "MINIBATCHES", 20)
+    monkeypatch.setattr(check, "POOL", 600)
+    monkeypatch.setattr(check, "MINIBATCHES", 20)
     shares = {}
     for updates in (1, 30, 400):
         changed = base.with_assignments(f"deployment.updates={updates}")
-        mechanism.measure(finished, changed, 0, f"{updates}", silent)
-        rows = mechanism_table.read([finished.mechanism(f"{updates}", 0)]).rows
+        check.measure(finished, changed, 0, f"{updates}", silent)
+        rows = table.read([finished.mechanism(f"{updates}", 0)]).rows
         shares[updates] = next(row.online.mean for row in rows if row.name == BalancedSection.row)
     uniform = 80 / 1280
     assert 0.3 < shares[1] < 0.5
@@ -136,11 +131,11 @@ def test_without_a_q_its_rows_and_values_are_left_out(
             super().__init__(*arguments)
             self.critic = None
 
-    monkeypatch.setattr(mechanism, "Specimen", WithoutQ)
-    monkeypatch.setattr(mechanism, "POOL", 300)
-    monkeypatch.setattr(mechanism, "MINIBATCHES", 3)
-    mechanism.measure(finished, base, 0, "without", silent)
-    found = mechanism_table.read([finished.mechanism("without", 0)])
+    monkeypatch.setattr(check, "Specimen", WithoutQ)
+    monkeypatch.setattr(check, "POOL", 300)
+    monkeypatch.setattr(check, "MINIBATCHES", 3)
+    check.measure(finished, base, 0, "without", silent)
+    found = table.read([finished.mechanism("without", 0)])
     assert not any(row.name.startswith("d_q") for row in found.rows)
     assert "d_e" in {row.name for row in found.rows}
     text = "\n".join(found.lines())
@@ -151,21 +146,21 @@ def test_where_no_state_can_be_set_the_error_is_left_out(
     finished: ComparisonFolder, base: Description, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(perfect, "possible", lambda env_id: False)
-    monkeypatch.setattr(mechanism, "POOL", 300)
-    monkeypatch.setattr(mechanism, "MINIBATCHES", 3)
-    mechanism.measure(finished, base, 0, "no state", silent)
-    text = "\n".join(mechanism_table.read([finished.mechanism("no state", 0)]).lines())
+    monkeypatch.setattr(check, "POOL", 300)
+    monkeypatch.setattr(check, "MINIBATCHES", 3)
+    check.measure(finished, base, 0, "no state", silent)
+    text = "\n".join(table.read([finished.mechanism("no state", 0)]).lines())
     head = next(line for line in text.splitlines() if line.startswith("selected by"))
     assert "error" not in head and "mismatch" in head and "nan" not in text.lower()
 
 
 def test_measuring_again_gives_the_same(finished: ComparisonFolder, base: Description) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mechanism, "POOL", 300)
-        patch.setattr(mechanism, "MINIBATCHES", 3)
+        patch.setattr(check, "POOL", 300)
+        patch.setattr(check, "MINIBATCHES", 3)
         for name in ("one", "two"):
-            mechanism.measure(finished, base, 0, name, silent)
-    one, two = (mechanism_table.read([finished.mechanism(name, 0)]) for name in ("one", "two"))
+            check.measure(finished, base, 0, name, silent)
+    one, two = (table.read([finished.mechanism(name, 0)]) for name in ("one", "two"))
     assert [str(row) for row in one.rows] == [str(row) for row in two.rows]
 
 
@@ -181,4 +176,4 @@ def test_a_damaged_file_is_one_clear_line(finished: ComparisonFolder) -> None:
     path.parent.mkdir(parents=True)
     path.write_text("{}")
     with pytest.raises(UserError, match="damaged"):
-        mechanism_table.read([path])
+        table.read([path])

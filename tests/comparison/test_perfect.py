@@ -7,7 +7,7 @@ from otc_dist.comparison import perfect
 from otc_dist.comparison.perfect import Correction, OneStep
 from otc_dist.datasets import store
 from otc_dist.datasets.joint import JointTransitions
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32
 
 SIZE = 2000

@@ -8,12 +8,12 @@ import pytest
 
 from otc_dist.comparison import report, tables
 from otc_dist.comparison.arms import Arms
+from otc_dist.comparison.score_statistics import Summary, summarise
 from otc_dist.comparison.scores import ComparisonFolder, Run
-from otc_dist.comparison.statistics import Summary, summarise
 from otc_dist.description import Description
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
 from otc_dist.report.__main__ import main as report_command
+from otc_dist.terminal.errors import UserError
 
 from .conftest import SEEDS
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from otc_dist import checkpoint, learner, team, user_code
 from otc_dist.comparison import runs
 from otc_dist.comparison.arms import KNOWN, NULL, REFERENCE, Arms, describe, parse_arms
+from otc_dist.comparison.score_statistics import summarise
 from otc_dist.comparison.scores import ComparisonFolder, Run, best_of
-from otc_dist.comparison.statistics import summarise
-from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.learner import Learner
-from otc_dist.measured import Measured
-from otc_dist.processor import processor
+from otc_dist.description import Description, user_code
+from otc_dist.learner import checkpoint, learner, team
+from otc_dist.learner.learner import Learner
+from otc_dist.run.measured_returns import Measured
+from otc_dist.system.processor import processor
+from otc_dist.terminal.errors import UserError
 
 from .. import toys
 from .conftest import SEEDS, VERSIONS, silent

@@ -9,9 +9,9 @@ from otc_dist.comparison.arms import NULL, PERFECT, REFERENCE
 from otc_dist.comparison.intervals import Difference, bootstrap, interquartile_mean
 from otc_dist.comparison.judgement import recommended
 from otc_dist.comparison.picture import so_far
+from otc_dist.comparison.score_statistics import Summary, summarise
 from otc_dist.comparison.scores import Evaluation, Run, best_of
-from otc_dist.comparison.statistics import Summary, summarise
-from otc_dist.measured import Measured
+from otc_dist.run.measured_returns import Measured
 
 
 def run(arm: str, seed: int, *means: float, offline: str = "") -> Run:

@@ -9,7 +9,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from otc_dist.datasets.agent_files import Header, encode, load_agent, load_tensors
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Transitions
 
 ROWS = 50

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from otc_dist.datasets import behaviour_training
 from otc_dist.datasets.behaviour import policy_of
-from otc_dist.datasets.ppo import RunningMoments, Settings, Trainer
+from otc_dist.datasets.behaviour_training import training
+from otc_dist.datasets.behaviour_training.ppo import RunningMoments, Settings, Trainer
 from otc_dist.envs import registry
 
 SMALL = Settings(copies=3, horizon=8, epochs=2, minibatch=12)
@@ -91,13 +91,13 @@ def test_advantages_stop_at_an_episodes_end():
 
 def test_the_command_writes_snapshots_and_their_card(tmp_path, monkeypatch, capsys):
     task = replace(
-        behaviour_training.TASKS["hopper"],
+        training.TASKS["hopper"],
         settings=SMALL,
         maximum_steps=3 * 24,
         evaluation_episodes=2,
     )
-    monkeypatch.setitem(behaviour_training.TASKS, "hopper", task)
-    assert behaviour_training.main(["hopper", "--seed", "3", "--out", str(tmp_path)]) == 0
+    monkeypatch.setitem(training.TASKS, "hopper", task)
+    assert training.main(["hopper", "--seed", "3", "--out", str(tmp_path)]) == 0
     card = json.loads((tmp_path / "hopper" / "card.json").read_text())
     files = sorted(path.name for path in (tmp_path / "hopper").glob("*.safetensors"))
     assert files == [row["file"] for row in card["snapshots"]]
@@ -108,5 +108,5 @@ def test_the_command_writes_snapshots_and_their_card(tmp_path, monkeypatch, caps
 
 def test_help_names_the_tasks(capsys):
     with pytest.raises(SystemExit):
-        behaviour_training.main(["--help"])
+        training.main(["--help"])
     assert "5m_vs_6m,halfcheetah" in capsys.readouterr().out

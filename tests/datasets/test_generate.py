@@ -9,7 +9,7 @@ from otc_dist.datasets.behaviour import load_card, load_policy, snapshot_folder
 from otc_dist.datasets.generate import generate, parts
 from otc_dist.datasets.robot_source import LEVELS
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 ROBOTS = ("hopper", "halfcheetah", "walker2d")
 

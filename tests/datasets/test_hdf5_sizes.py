@@ -9,7 +9,7 @@ import pytest
 
 from otc_dist.datasets import hdf5
 from otc_dist.datasets.importers import import_files
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 Make = Callable[[h5py.File, Path], object]
 

@@ -12,8 +12,8 @@ from minari.data_collector import EpisodeBuffer
 
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_file, import_files
-from otc_dist.errors import UserError
-from otc_dist.extras import install
+from otc_dist.system.extras import install
+from otc_dist.terminal.errors import UserError
 
 from .recordings import Played, play, write_d4rl
 

@@ -14,8 +14,8 @@ from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.reader import read_summary
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep, Transitions
 from tests.power_cut import Disk
 from tests.replay.played import play

@@ -8,12 +8,12 @@ from safetensors.numpy import load
 
 from otc_dist.datasets import generate as generation
 from otc_dist.datasets.behaviour import load_card, load_policy, snapshot_folder
-from otc_dist.datasets.behaviour_training import TASKS, evaluate
+from otc_dist.datasets.behaviour_training.training import TASKS, evaluate
 from otc_dist.datasets.generate import generate
 from otc_dist.datasets.names import DatasetName
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
 from otc_dist.randomness import derive_seed
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import choice_problem
 
 NAME = "5m_vs_6m"

@@ -15,8 +15,8 @@ from otc_dist.datasets.random_source import RandomSource
 from otc_dist.datasets.source import Uniform
 from otc_dist.envs import registry
 from otc_dist.envs.base import Outcome
-from otc_dist.errors import UserError
 from otc_dist.spec import AgentSpec, TeamSpec
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32
 
 PARTICLES = ("predator-prey-3", "cooperative-navigation-2", "navigation")

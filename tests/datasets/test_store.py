@@ -13,7 +13,7 @@ from otc_dist.datasets import store, writing
 from otc_dist.datasets.card import DatasetCard
 from otc_dist.envs import registry
 from otc_dist.envs.robot_specs import PARTITIONS
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 NAME, SIZE = "hopper-3x1/random", 1500
 
@@ -198,7 +198,7 @@ LIMITED = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 from otc_dist.datasets.__main__ import main
-from otc_dist.errors import run_main
+from otc_dist.terminal.errors import run_main
 run_main(main)
 """
 

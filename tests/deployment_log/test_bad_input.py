@@ -9,7 +9,7 @@ from mcap.writer import Writer
 
 from otc_dist.deployment_log.reader import read_header, read_steps, read_transitions
 from otc_dist.deployment_log.writer import LogWriter
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 
 def said(path: Path) -> str:

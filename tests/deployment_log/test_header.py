@@ -11,8 +11,8 @@ from otc_dist.deployment_log.format import DamagedLogError
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.salvage import Salvage
-from otc_dist.errors import UserError
 from otc_dist.replay.__main__ import main
+from otc_dist.terminal.errors import UserError
 from tests.deployment_log.conftest import Recording
 
 Entries = dict[str, str]

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from otc_dist.deployment_log.format import DamagedLogError
 from otc_dist.deployment_log.reader import read_header, read_steps
 from otc_dist.deployment_log.writer import LogWriter
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 
 def read_until_damage(path: Path) -> tuple[list, bool]:

@@ -15,7 +15,7 @@ from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.reader import read_header, read_steps, read_summary
 from otc_dist.deployment_log.record import CHANNEL_ID
 from otc_dist.deployment_log.salvage import Salvage
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep
 
 # benchmarks/damage.py cuts at every byte and flips 10,000 bits.

@@ -16,8 +16,8 @@ from otc_dist.deployment_log import chunks
 from otc_dist.deployment_log.format import DamagedLogError
 from otc_dist.deployment_log.reader import read_steps
 from otc_dist.deployment_log.salvage import Salvage
-from otc_dist.errors import UserError
 from otc_dist.replay.__main__ import main
+from otc_dist.terminal.errors import UserError
 from tests.deployment_log.conftest import Recording
 
 STEP = 1000  # bytes

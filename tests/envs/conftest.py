@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from otc_dist import user_code
+from otc_dist.description import user_code
 
 
 @pytest.fixture(autouse=True)

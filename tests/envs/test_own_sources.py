@@ -46,7 +46,7 @@ LOADED = {"pkg/__init__.py", "pkg/game.py", "pkg/late.py", "pkg/levels.py", "pkg
 LOADED |= {"pkg/deep/chosen.py", "beside.py"}
 TELL = """
 import sys
-from otc_dist import user_code
+from otc_dist.description import user_code
 from otc_dist.envs import registry
 user_code.allow(sys.argv[1])
 print(*registry.sources(sys.argv[1]))
@@ -96,10 +96,11 @@ def test_data_are_made_again_when_any_of_the_sources_has_changed(folder: Path) -
 
 BEGIN = """
 from pathlib import Path
-from otc_dist import inputs
-from otc_dist.launch import descriptions, new_folder, resolve, run_record
-from otc_dist.launch.ledger import Ledger
-from otc_dist.launch.place import Place
+from otc_dist.datasets import inputs
+from otc_dist.launch.plan import descriptions, new_folder, run_record
+from otc_dist.launch.run import resolve
+from otc_dist.launch.plan.ledger import Ledger
+from otc_dist.launch.plan.role import Place
 small = ("env.id=pkg:parallel_env", "dataset.name=random", "dataset.transitions=100",
          "algorithm.name=td3bc", "engine.name=eager")
 description = resolve.resolve(descriptions.load("navigation", small, None, quick=False))

@@ -6,7 +6,7 @@ import torch
 
 from otc_dist.datasets.generate import generate
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 IDS = ("predator-prey-2", "predator-prey-3", "cooperative-navigation-2",
        "cooperative-navigation-6", "navigation")  # fmt: skip

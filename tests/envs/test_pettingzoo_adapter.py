@@ -12,7 +12,7 @@ from otc_dist.datasets import store
 from otc_dist.datasets.source import Uniform
 from otc_dist.envs import pettingzoo_adapter, registry
 from otc_dist.envs.rollout import Rollout
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 SPREAD = """
 from mpe2 import simple_spread_v3

@@ -16,7 +16,7 @@ from otc_dist.datasets import store
 from otc_dist.datasets.source import Uniform
 from otc_dist.envs import pettingzoo_admission, registry
 from otc_dist.envs.base import BatchedEnv
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 _NUMBERS = itertools.count()
 

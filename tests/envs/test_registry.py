@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from otc_dist.envs import registry
-from otc_dist.errors import UserError
+from otc_dist.terminal.errors import UserError
 
 
 def test_every_environment_is_made_as_its_spec_says():

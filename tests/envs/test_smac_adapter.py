@@ -8,8 +8,8 @@ import pytest
 from otc_dist.datasets.generate import generate
 from otc_dist.envs import registry, smac_adapter
 from otc_dist.envs.rollout import Rollout
-from otc_dist.errors import UserError
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import choice_problem
 
 from . import smac_stand_in as stand_in
@@ -210,7 +210,7 @@ def test_without_the_package_one_line_says_what_to_install(tmp_path, command):
     code = (
         "import sys\n"
         "sys.modules['smac'] = None\n"
-        "from otc_dist.errors import run_main\n"
+        "from otc_dist.terminal.errors import run_main\n"
         "from otc_dist.launch.__main__ import main\n"
         "run_main(main)\n"
     )

@@ -9,8 +9,8 @@ import pytest
 
 from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
-from otc_dist.errors import UserError
-from otc_dist.extras import install
+from otc_dist.system.extras import install
+from otc_dist.terminal.errors import UserError
 
 SMAX = "smax/5m_vs_6m"
 installed = pytest.mark.skipif(find_spec("jaxmarl") is None, reason="JaxMARL is not installed")
@@ -23,7 +23,7 @@ def test_without_the_package_one_line_says_what_to_install(argv):
         "sys.modules['jaxmarl'] = None\n"
         "from otc_dist.datasets import store\n"
         "from otc_dist.envs import registry\n"
-        "from otc_dist.errors import run_main\n"
+        "from otc_dist.terminal.errors import run_main\n"
         "ask = {'env': registry.team_spec, 'data': store.ensure}\n"
         "run_main(lambda argv: ask[argv[0]](argv[1]) and 0)\n"
     )

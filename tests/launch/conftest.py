@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
 
 AGENTS = ("agent_0", "agent_1", "agent_2")  # of the runs here
 CHECKSUM = 4  # the last bytes of a logged step, which differ with the run's name

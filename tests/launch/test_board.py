@@ -7,11 +7,11 @@ from rich.console import Console
 
 from otc_dist.bus.messages import Status
 from otc_dist.envs import registry
-from otc_dist.launch import descriptions, forecast
-from otc_dist.launch.board import Board
-from otc_dist.launch.forecast import Part, Remaining
-from otc_dist.launch.resolve import resolve
-from otc_dist.launch.view import CarefulView, LineView, TableView
+from otc_dist.launch.plan import descriptions, forecast
+from otc_dist.launch.plan.forecast import Part, Remaining
+from otc_dist.launch.run.resolve import resolve
+from otc_dist.launch.show.board import Board
+from otc_dist.launch.show.view import CarefulView, LineView, TableView
 
 RUN = [Part("offline", 0, 100.0), Part("deployment", 1, 10.0), Part("tuning", 1, 90.0)]
 
@@ -110,7 +110,7 @@ def test_who_begins_again_further_back_is_not_taken_for_slow() -> None:
 
 
 def test_agents_of_other_machines_do_not_share_our_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("otc_dist.launch.forecast.os.cpu_count", lambda: 2)
+    monkeypatch.setattr("otc_dist.launch.plan.forecast.os.cpu_count", lambda: 2)
     description = resolve(descriptions.load("3agent_hopper", ["engine.name=eager"], None, True))
     team = registry.team_spec(description.env.id)
     offline = {n: forecast.parts(description, team, n)[1].seconds for n in (0, 1, 3)}
@@ -120,7 +120,7 @@ def test_agents_of_other_machines_do_not_share_our_cores(monkeypatch: pytest.Mon
 def test_a_wait_is_told_once_and_progress_as_it_comes(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("otc_dist.launch.view.LINE_EVERY", 0.0)
+    monkeypatch.setattr("otc_dist.launch.show.view.LINE_EVERY", 0.0)
     seen, view = board(), LineView()
     for phase, update in [("gathering", 0)] * 3 + [("evaluation", 0)] * 3 + [("evaluation", 7)] * 2:
         seen.take(status("host", phase, update=update), clock=0.0)

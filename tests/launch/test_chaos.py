@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.errors import UserError
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.chaos_outcome import differences, outcome
-from otc_dist.launch.chaos_run import PHASES, DisturbedRun, StuckError
+from otc_dist.launch.chaos.disturbed_run import PHASES, DisturbedRun, StuckError
+from otc_dist.launch.chaos.outcome import differences, outcome
 from otc_dist.report.write import write_report
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 from tests.report.conftest import MadeRun
 
 
@@ -31,7 +31,7 @@ def test_a_mistake_is_one_line(faults: list[str], says: str) -> None:
 def test_a_folder_that_cannot_be_made_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("otc_dist.launch.chaos_arena.enter", lambda: None)  # it would leave pytest
+    monkeypatch.setattr("otc_dist.launch.chaos.arena.enter", lambda: None)  # it would leave pytest
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match=r"cannot make the folder .*/file/out"):
         main(["chaos", "--out", str(tmp_path / "file" / "out")])
@@ -58,9 +58,9 @@ class _QuickRun(DisturbedRun):
 def test_a_fault_that_was_asked_for_and_never_struck_has_not_passed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("otc_dist.launch.chaos_arena.enter", lambda: None)
-    monkeypatch.setattr("otc_dist.launch.chaos.DisturbedRun", _QuickRun)
-    monkeypatch.setattr("otc_dist.launch.chaos.outcome", lambda folder: {})
+    monkeypatch.setattr("otc_dist.launch.chaos.arena.enter", lambda: None)
+    monkeypatch.setattr("otc_dist.launch.chaos.command.DisturbedRun", _QuickRun)
+    monkeypatch.setattr("otc_dist.launch.chaos.command.outcome", lambda folder: {})
     assert main(["chaos", "kill-compiler=2", "--out", str(tmp_path)]) == 1
     said = capsys.readouterr()
     assert "kill-compiler: nothing to strike in 3 runs" in said.err

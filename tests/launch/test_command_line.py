@@ -14,13 +14,14 @@ from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_files
 from otc_dist.description import Description
-from otc_dist.errors import UserError
-from otc_dist.launch import comparison_jobs, descriptions, new_folder, plan, run_record
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.place import Place
-from otc_dist.launch.resolve import resolve
-from otc_dist.processor import kind
-from otc_dist.run_folder import RunFolder
+from otc_dist.launch.compare import job_graph
+from otc_dist.launch.plan import descriptions, new_folder, plan, run_record
+from otc_dist.launch.plan.role import Place
+from otc_dist.launch.run.resolve import resolve
+from otc_dist.run.folder import RunFolder
+from otc_dist.system.processor import kind
+from otc_dist.terminal.errors import UserError
 from tests.replay.played import play
 
 SHORT = ("--set", "dataset.transitions=100", "--set", "engine.name=eager")
@@ -129,7 +130,7 @@ def _tiny() -> Description:
 def test_an_engine_that_is_asked_for_and_does_not_answer_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("otc_dist.launch.resolve._ASK_ENGINE", "import signal\nsignal.pause()")
+    monkeypatch.setattr("otc_dist.launch.run.resolve._ASK_ENGINE", "import signal\nsignal.pause()")
     changes = ["engine.name=auto", "bus.answer_deadline=1.0"]
     with pytest.raises(UserError, match="has done nothing for 1 s; try again, or say it: --set"):
         resolve(descriptions.load("navigation", changes, None, True))
@@ -140,7 +141,7 @@ def test_a_user_s_environment_that_hangs_when_it_is_asked_for_its_agents_is_one_
 ) -> None:
     (tmp_path / "hangs_at_once.py").write_text("import signal\nsignal.pause()\n")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr("otc_dist.launch.plan._ASKING", 0.5)
+    monkeypatch.setattr("otc_dist.launch.plan.plan._ASKING", 0.5)
     changes = ["env.id=hangs_at_once:make", "dataset.name=random", "bus.answer_deadline=0.5"]
     with pytest.raises(UserError, match=r"asking hangs_at_once:make for .* longer than 0.5 s"):
         plan.team_of(descriptions.load("navigation", changes, None, True))
@@ -229,10 +230,10 @@ def test_a_comparison_that_is_refused_before_any_job_is_done_leaves_its_name_fre
     tmp_path: Path,
 ) -> None:
     folder, base = ComparisonFolder(tmp_path / "compared"), resolve(_tiny())
-    with pytest.raises(UserError, match="no"), comparison_jobs.opened(folder, base):
+    with pytest.raises(UserError, match="no"), job_graph.opened(folder, base):
         raise UserError("no")
     assert not folder.root.exists()
-    with pytest.raises(UserError, match="no"), comparison_jobs.opened(folder, base):
+    with pytest.raises(UserError, match="no"), job_graph.opened(folder, base):
         folder.seed(0).checkpoint("agent_0", 0).parent.mkdir(parents=True)
         folder.seed(0).checkpoint("agent_0", 0).touch()
         raise UserError("no")
@@ -368,7 +369,8 @@ def test_set_wins_over_quick() -> None:
 @pytest.mark.slow
 def test_auto_engine_is_resolved_without_torch_in_the_launcher() -> None:
     code = (
-        "import sys; from otc_dist.launch import descriptions, resolve, run_command\n"
+        "import sys; from otc_dist.launch.plan import descriptions\n"
+        "from otc_dist.launch.run import resolve, command\n"
         "d = resolve.resolve(descriptions.load('3agent_hopper', [], None, False))\n"
         "print(d.engine.name, 'torch' in sys.modules)"
     )

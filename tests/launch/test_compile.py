@@ -3,7 +3,7 @@
 import pytest
 
 from otc_dist.envs import registry
-from otc_dist.launch.compile import made_up
+from otc_dist.launch.run.compile import made_up
 from otc_dist.transitions import ReplayBuffer, RowLayout
 
 

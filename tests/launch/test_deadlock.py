@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.launch.run_record import RunRecord
-from otc_dist.run_folder import RunFolder
+from otc_dist.launch.plan.run_record import RunRecord
+from otc_dist.run.folder import RunFolder
 
 from .conftest import Launcher
 
@@ -57,9 +57,9 @@ SITE = """
         import threading, time
         mark = pathlib.Path("hang_in_act")
         def wait_for_the_brain():
-            while not hasattr(sys.modules.get("otc_dist.learner"), "Learner"):
+            while not hasattr(sys.modules.get("otc_dist.learner.learner"), "Learner"):
                 time.sleep(0.001)
-            learner = sys.modules["otc_dist.learner"].Learner
+            learner = sys.modules["otc_dist.learner.learner"].Learner
             act = learner.act
             def hanging(self, seen, phase, deployment, step, **how):
                 if phase == "deployment" and step == 5 and mark.exists():

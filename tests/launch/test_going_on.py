@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist import checkpoint
 from otc_dist.description import Description
-from otc_dist.errors import UserError
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.run_record import RunRecord
-from otc_dist.run_folder import RunFolder
+from otc_dist.launch.plan.run_record import RunRecord
+from otc_dist.learner import checkpoint
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 
 from .conftest import AGENTS, Launcher, same
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from otc_dist.bus.messages import Status
-from otc_dist.launch.health import (
+from otc_dist.launch.supervise.health import (
     FIRST_DELAY,
     FROZEN_AFTER,
     LASTING,
@@ -14,7 +14,7 @@ from otc_dist.launch.health import (
     TELL_AFTER,
     Health,
 )
-from otc_dist.launch.supervisor import End
+from otc_dist.launch.supervise.supervisor import End
 
 DEADLINE = 30.0
 KILLED = {name: End(name, -9, None) for name in ("host", "agent_0")}

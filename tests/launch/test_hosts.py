@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist import certs
-from otc_dist.errors import UserError
+from otc_dist.certs import authority
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.plan import Plan
-from otc_dist.launch.run_record import RunRecord
-from otc_dist.run_folder import RunFolder
+from otc_dist.launch.plan.plan import Plan
+from otc_dist.launch.plan.run_record import RunRecord
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 
 RUN = ("3agent_hopper", "--set", "dataset.transitions=100", "--set", "engine.name=eager")
 HOST = ("--role", "host", "--listen", "tls/0.0.0.0:7447", "--certs", "certs")
@@ -31,7 +31,7 @@ agent_2 = "ana@192.0.2.3"
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """With certificates for all, and the example's hosts.toml."""
     monkeypatch.chdir(tmp_path)
-    list(certs.make(tmp_path / "certs", ["agent_0", "agent_1", "agent_2"], ["192.0.2.1"], 1))
+    list(authority.make(tmp_path / "certs", ["agent_0", "agent_1", "agent_2"], ["192.0.2.1"], 1))
     (tmp_path / "hosts.toml").write_text(FILE)
     return tmp_path
 
@@ -205,7 +205,7 @@ def test_the_same_command_goes_on_with_a_part_of_a_run(
         conducted.append(plan)
         return 0
 
-    monkeypatch.setattr("otc_dist.launch.run_command.conduct", conduct)
+    monkeypatch.setattr("otc_dist.launch.run.command.conduct", conduct)
     out = ("--certs", "certs", "--out", "run")
     assert main([*RUN, *LEARNER, *out]) == 0
     before = RunRecord.read(RunFolder(folder / "run"))

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.errors import UserError
-from otc_dist.launch import descriptions, resolve
 from otc_dist.launch.__main__ import main
-from otc_dist.run_folder import RunFolder
+from otc_dist.launch.plan import descriptions
+from otc_dist.launch.run import resolve
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 
 from .conftest import Launcher
 

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist import certs
 from otc_dist.bus.endpoints import Door, door
 from otc_dist.bus.identity import Identity
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.session import Session
-from otc_dist.errors import UserError
-from otc_dist.launch import observer
+from otc_dist.certs import authority
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.observer import Link, Sign, Token, Waiting, nobody_of_run, observing
-from otc_dist.launch.plan import Plan
-from otc_dist.launch.run_record import RunRecord
-from otc_dist.run_folder import RunFolder
+from otc_dist.launch.plan.plan import Plan
+from otc_dist.launch.plan.run_record import RunRecord
+from otc_dist.launch.supervise import observer
+from otc_dist.launch.supervise.observer import Link, Sign, Token, Waiting, nobody_of_run, observing
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 from tests.bus.conftest import free_port
 
 from .conftest import AGENTS, Launcher
@@ -32,7 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """With certificates of our authority, and of another, one of them out of date."""
     monkeypatch.chdir(tmp_path)
     for name, days in (("certs", 30.0), ("theirs", 30.0), ("expired", -0.5)):
-        list(certs.make(tmp_path / name, AGENTS, ["127.0.0.1"], days))
+        list(authority.make(tmp_path / name, AGENTS, ["127.0.0.1"], days))
     return tmp_path
 
 
@@ -97,7 +97,7 @@ def plan(folder: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> Plan:
         conducted.append(plan)
         return 0
 
-    monkeypatch.setattr("otc_dist.launch.run_command.conduct", conduct)
+    monkeypatch.setattr("otc_dist.launch.run.command.conduct", conduct)
     sized = ("--set", "dataset.transitions=100")
     assert main([*LEARNER, f"tls/127.0.0.1:{port}", "--certs", "certs", *sized]) == 0
     return conducted[0]

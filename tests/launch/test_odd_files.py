@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from safetensors.numpy import save
 
-from otc_dist import checkpoint
-from otc_dist.checkpoint import Progressed
 from otc_dist.comparison.scores import Evaluation
 from otc_dist.comparison.scores import Run as Scores
 from otc_dist.datasets.card import AgentFile, DatasetCard, Summary
-from otc_dist.errors import UserError
-from otc_dist.host_state import HostState
-from otc_dist.launch import descriptions
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.approve import waiting_lines
-from otc_dist.launch.place import Place
-from otc_dist.launch.run_record import RunRecord
-from otc_dist.launch.vital_signs import ProcessState, Supervision
-from otc_dist.measured import Measured
+from otc_dist.launch.plan import descriptions
+from otc_dist.launch.plan.role import Place
+from otc_dist.launch.plan.run_record import RunRecord
+from otc_dist.launch.show.approve import waiting_lines
+from otc_dist.launch.show.process_states import ProcessState, Supervision
+from otc_dist.learner import checkpoint
+from otc_dist.learner.checkpoint import Progressed
 from otc_dist.report.write import write_report
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.run.host_state import HostState
+from otc_dist.run.measured_returns import Measured
+from otc_dist.terminal.errors import UserError
 from tests.odd_json import twisted
 
 RECORD = RunRecord(

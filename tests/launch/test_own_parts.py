@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist import checkpoint, user_code
-from otc_dist.description import Description
+from otc_dist.datasets.inputs import Digests
+from otc_dist.description import Description, user_code
 from otc_dist.description.kinds import STRATEGIES
-from otc_dist.errors import UserError
-from otc_dist.inputs import Digests
-from otc_dist.launch import descriptions
-from otc_dist.launch.run_command import main
-from otc_dist.learner import Learner, Progress
-from otc_dist.policy import Policy
+from otc_dist.launch.plan import descriptions
+from otc_dist.launch.run.command import main
+from otc_dist.learner import checkpoint
+from otc_dist.learner.learner import Learner, Progress
+from otc_dist.learner.policy import Policy
 from otc_dist.replay.__main__ import main as replay
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 
 from .. import toys
 from ..brains import SPEC, brain, describe, online, silent, transitions, unsaved
@@ -107,7 +107,7 @@ def test_a_new_strategy_of_the_package_leaves_all_other_descriptions_as_they_are
 HOST = """
 import sys
 from pathlib import Path
-from otc_dist import inputs
+from otc_dist.datasets import inputs
 from otc_dist.services import env_host
 run = env_host.Run.open(Path("run"))
 run.check(inputs.sources(run.description))

@@ -13,17 +13,17 @@ from typing import Any
 
 import pytest
 
-from otc_dist import certs, inputs
-from otc_dist.datasets import store
+from otc_dist.certs import authority
+from otc_dist.datasets import inputs, store
 from otc_dist.datasets.importers import import_files
-from otc_dist.errors import UserError
-from otc_dist.launch import descriptions, new_folder, run_record
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.ledger import Ledger
-from otc_dist.launch.place import Place
-from otc_dist.launch.resolve import resolve
-from otc_dist.launch.run_record import RunRecord
-from otc_dist.run_folder import RunFolder
+from otc_dist.launch.plan import descriptions, new_folder, run_record
+from otc_dist.launch.plan.ledger import Ledger
+from otc_dist.launch.plan.role import Place
+from otc_dist.launch.plan.run_record import RunRecord
+from otc_dist.launch.run.resolve import resolve
+from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.errors import UserError
 
 from .conftest import AGENTS, Hold, Launcher, processes_of, same, wait_for_end
 from .namespaces import star
@@ -251,7 +251,7 @@ def test_separate_hosts_come_to_the_bytes_of_one_machine(
     And though the env host is killed: all links to it are made again.
     """
     with star(len(AGENTS)) as (centre, hosts):
-        list(certs.make(tmp_path / "certs", AGENTS, [host.centre for host in hosts], days=1))
+        list(authority.make(tmp_path / "certs", AGENTS, [host.centre for host in hosts], days=1))
         run = ("3agent_hopper", *tiny_flags, "--role")
         learners = []
         for agent, host in zip(AGENTS, hosts, strict=True):

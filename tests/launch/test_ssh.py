@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist import certs
 from otc_dist.bus.access import router_rules
 from otc_dist.bus.keys import ANY, Keys
-from otc_dist.run_folder import RunFolder
+from otc_dist.certs import authority
+from otc_dist.run.folder import RunFolder
 from tests.bus.conftest import free_port
 
 from .conftest import AGENTS, Hold, Launcher, processes_of, same, wait_for_end
@@ -74,7 +74,7 @@ def test_a_run_by_ssh_is_stopped_and_gone_on_with_and_ends_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     there, port = tmp_path / "there", free_port()
-    list(certs.make(there / "certs", AGENTS, [CENTRE], days=1))
+    list(authority.make(there / "certs", AGENTS, [CENTRE], days=1))
     lines = [f'env_host = "{CENTRE}"', f"port = {port}", f'directory = "{there}"']
     lines += [f'python = "{sys.executable}"', "[learners]"]
     lines += [f'{agent} = "{machine}"' for agent, machine in MACHINES.items()]

@@ -1,7 +1,7 @@
 """What `launch status` prints of the processes."""
 
-from otc_dist.launch.status import _table
-from otc_dist.launch.vital_signs import ProcessState
+from otc_dist.launch.show.process_states import ProcessState
+from otc_dist.launch.show.status import _table
 
 
 def state(phase: str, done: int, of: int, restarts: int = 0, last_end: str = "") -> ProcessState:

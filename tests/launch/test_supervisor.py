@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.launch.signals import Signals
-from otc_dist.launch.supervisor import Supervisor
+from otc_dist.launch.supervise.signals import Signals
+from otc_dist.launch.supervise.supervisor import Supervisor
 
 DEADLINE = 60.0
 
@@ -84,7 +84,7 @@ def test_leaving_the_context_stops_everything(fifo: Fifo) -> None:
 def test_a_process_that_ignores_sigterm_is_killed(
     fifo: Fifo, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("otc_dist.launch.supervisor.GRACE", 0.3)
+    monkeypatch.setattr("otc_dist.launch.supervise.supervisor.GRACE", 0.3)
     with Signals() as signals, Supervisor(signals) as supervisor:
         supervisor.start("deaf", _python(DEAF, fifo.path))
         fifo.wait_for(1)
@@ -130,8 +130,8 @@ def test_children_get_one_thread_and_no_terminal(tmp_path: Path) -> None:
 def test_killing_the_launcher_kills_its_processes(fifo: Fifo) -> None:
     launcher = """
 import sys
-from otc_dist.launch.signals import Signals
-from otc_dist.launch.supervisor import Supervisor
+from otc_dist.launch.supervise.signals import Signals
+from otc_dist.launch.supervise.supervisor import Supervisor
 with Signals() as signals, Supervisor(signals) as supervisor:
     supervisor.start("deaf", [sys.executable, "-c", sys.argv[1], sys.argv[2]])
     while True:
@@ -145,9 +145,9 @@ with Signals() as signals, Supervisor(signals) as supervisor:
 
 HANGS_UP = """
 import os, pathlib, signal, sys
-from otc_dist import output
-from otc_dist.launch.signals import Signals
-from otc_dist.launch.supervisor import Supervisor
+from otc_dist.terminal import output
+from otc_dist.launch.supervise.signals import Signals
+from otc_dist.launch.supervise.supervisor import Supervisor
 output.steady()
 if sys.argv[3] == "nohup":
     signal.signal(signal.SIGHUP, signal.SIG_IGN)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.launch import descriptions
+from otc_dist.launch.plan import descriptions
 from otc_dist.replay.__main__ import main as replay
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
 
 from .conftest import Launcher
 

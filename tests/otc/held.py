@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from otc_dist.algorithms.interface import State
-from otc_dist.engine import Engine
 from otc_dist.otc.data import Data
-from otc_dist.otc.samplers import Extent, Held
+from otc_dist.otc.samplers.interface import Extent, Held
+from otc_dist.steps.engine import Engine
+from otc_dist.steps.state import State
 
 
 def held_by(state: State, data: Data, extent: Extent, random: np.random.Generator) -> Held:

@@ -11,14 +11,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws, draw
-from otc_dist.algorithms.interface import State
 from otc_dist.otc.acceptance import conformal, share
 from otc_dist.otc.acceptance.rank import RankMatched
-from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.value import ValueDistance
-from otc_dist.otc.samplers import Extent
+from otc_dist.otc.samplers.correction import CorrectionSection
+from otc_dist.otc.samplers.interface import Extent
+from otc_dist.steps.draws import Draw, Draws, draw
+from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
 Float = NDArray[np.float64]

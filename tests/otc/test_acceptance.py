@@ -9,11 +9,11 @@ from scipy import stats
 
 from otc_dist.otc.acceptance import acceptance as rule
 from otc_dist.otc.acceptance import conformal, share
-from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Scores
-from otc_dist.otc.samplers import Extent, Held
-from otc_dist.otc.uniform import UniformSection
+from otc_dist.otc.samplers.correction import CorrectionSection
+from otc_dist.otc.samplers.interface import Extent, Held
+from otc_dist.otc.samplers.uniform import UniformSection
 
 from .held import held_by
 

@@ -8,13 +8,13 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from otc_dist.algorithms.draws import draw
-from otc_dist.algorithms.interface import State
-from otc_dist.engine import Engine
-from otc_dist.otc import balanced
-from otc_dist.otc.balanced import Balanced, BalancedSection
 from otc_dist.otc.data import Data
-from otc_dist.otc.samplers import Extent, Selection
+from otc_dist.otc.samplers import balanced
+from otc_dist.otc.samplers.balanced import Balanced, BalancedSection
+from otc_dist.otc.samplers.interface import Extent, Selection
+from otc_dist.steps.draws import draw
+from otc_dist.steps.engine import Engine
+from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
 from .. import references

@@ -5,9 +5,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from otc_dist.otc.correction import NormaliserName
 from otc_dist.otc.distances.embedding import nearest_l1
 from otc_dist.otc.distances.value import GUARD, match_values, next_state_distance
+from otc_dist.otc.samplers.correction import NormaliserName
 
 from .. import references
 

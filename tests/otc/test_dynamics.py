@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from otc_dist.description import DynamicsSection
-from otc_dist.engine import Engine
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.dynamics import DynamicsDistance
 from otc_dist.otc.distances.typical import Misses, TypicalDistance
 from otc_dist.otc.forward import Forward, apart
-from otc_dist.otc.samplers import Extent, Held
+from otc_dist.otc.samplers.interface import Extent, Held
 from otc_dist.randomness import stream
+from otc_dist.steps.engine import Engine
 from otc_dist.transitions import RowLayout
 
 LAYOUT = RowLayout(2, 1)

@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from otc_dist.algorithms.draws import draw
 from otc_dist.algorithms.interface import Batch
 from otc_dist.otc.embedding import Embedding, active_dimensions
+from otc_dist.steps.draws import draw
 
 from .. import references
 

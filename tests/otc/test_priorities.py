@@ -6,7 +6,7 @@ import torch
 from numpy.typing import NDArray
 from scipy import stats
 
-from otc_dist.otc.priorities import BLOCK, RESOLUTION, choose, fill, of, replace
+from otc_dist.otc.samplers.priorities import BLOCK, RESOLUTION, choose, fill, of, replace
 
 Float32 = NDArray[np.float32]
 

@@ -9,17 +9,18 @@ import torch
 from scipy import stats
 
 from otc_dist.algorithms.bcq import Bcq, BcqSection
-from otc_dist.algorithms.draws import Draws, draw
-from otc_dist.algorithms.interface import State, unpack
+from otc_dist.algorithms.interface import unpack
 from otc_dist.description import SamplingSection
 from otc_dist.description.kinds import STRATEGIES
 from otc_dist.otc import create_sampler
 from otc_dist.otc.acceptance.rank import RankMatched
-from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances import create_distance
 from otc_dist.otc.distances.interface import Matching, Setting
-from otc_dist.otc.samplers import Extent, Held
+from otc_dist.otc.samplers.correction import CorrectionSection
+from otc_dist.otc.samplers.interface import Extent, Held
+from otc_dist.steps.draws import Draws, draw
+from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
 from .. import references

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.errors import UserError
 from otc_dist.replay.__main__ import main
+from otc_dist.terminal.errors import UserError
 from tests.deployment_log.conftest import Recording
 
 from .played import play

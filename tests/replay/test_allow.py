@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from otc_dist import user_code
 from otc_dist.datasets.__main__ import main as datasets
 from otc_dist.datasets.agent_files import read_file
 from otc_dist.deployment_log.reader import read_header, read_steps
 from otc_dist.deployment_log.writer import LogWriter
-from otc_dist.errors import UserError
-from otc_dist.launch.run_command import main as launch
+from otc_dist.description import user_code
+from otc_dist.launch.run.command import main as launch
 from otc_dist.replay.__main__ import main as replay
+from otc_dist.terminal.errors import UserError
 
 from .deployments import described, played
 

@@ -11,15 +11,15 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from otc_dist import user_code
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_files
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import Rows
-from otc_dist.errors import UserError
+from otc_dist.description import user_code
 from otc_dist.replay.export.trajectories import trajectories
 from otc_dist.replay.selection import Selection
+from otc_dist.terminal.errors import UserError
 from tests.deployment_log.conftest import Recording
 
 from .conftest import Replay

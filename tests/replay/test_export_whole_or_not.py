@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.extras import install
+from otc_dist.system.extras import install
 
 from .conftest import Replay
 from .played import play
@@ -70,7 +70,7 @@ def test_without_its_library_the_extra_is_named(
 LIMITED = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
-from otc_dist.errors import run_main
+from otc_dist.terminal.errors import run_main
 from otc_dist.replay.__main__ import main
 run_main(main)
 """

@@ -13,12 +13,12 @@ import pytest
 from PIL import Image
 
 from otc_dist.deployment_log.reader import read_summary
-from otc_dist.errors import UserError
 from otc_dist.replay import offscreen
-from otc_dist.replay.painter import HEIGHT, WIDTH, painter
-from otc_dist.replay.tape import highlights
+from otc_dist.replay.frames import HEIGHT, WIDTH, painter
+from otc_dist.replay.timeline import highlights
 from otc_dist.scenes.robots import RobotScene
 from otc_dist.scenes.scene import AGENT_COLOURS, FOE
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep
 
 from .conftest import Replay

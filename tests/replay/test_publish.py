@@ -21,9 +21,9 @@ from otc_dist.deployment_log.reader import (
     read_summary,
     read_transitions,
 )
-from otc_dist.errors import UserError
 from otc_dist.replay import publish
 from otc_dist.replay.selection import Selection
+from otc_dist.terminal.errors import UserError
 
 from .deployments import logged, played, retold
 

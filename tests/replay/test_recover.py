@@ -13,9 +13,9 @@ from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import read_header, read_steps, read_summary
 from otc_dist.deployment_log.writer import LogWriter
-from otc_dist.errors import UserError
 from otc_dist.replay.__main__ import main
-from otc_dist.replay.tape import highlights
+from otc_dist.replay.timeline import highlights
+from otc_dist.terminal.errors import UserError
 from tests.deployment_log.conftest import Recording, again, same_step
 
 from .deployments import described, played

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from otc_dist import team
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.header import versions
 from otc_dist.deployment_log.reader import read_steps, read_summary
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
-from otc_dist.learner import Learner
-from otc_dist.run_folder import RunFolder
+from otc_dist.learner import team
+from otc_dist.learner.learner import Learner
+from otc_dist.run.folder import RunFolder
 from otc_dist.transitions import JointStep
 
 from ..brains import transitions

@@ -9,7 +9,7 @@ import pytest
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.description import Description
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
 from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.transitions import JointStep
 

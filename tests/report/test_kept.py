@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from otc_dist.launch.closing import closing_lines
+from otc_dist.launch.show.summary import closing_lines
 
 from .test_report import report
 

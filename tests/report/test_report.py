@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.errors import UserError
-from otc_dist.report.statistics import Spread, improvement
+from otc_dist.report.return_statistics import Spread, improvement
 from otc_dist.report.write import write_report
+from otc_dist.terminal.errors import UserError
 
 VOID = {"meta", "line", "path", "br", "polygon"}
 

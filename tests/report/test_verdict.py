@@ -5,11 +5,11 @@ import sys
 
 import pytest
 
-from otc_dist.launch.closing import closing_lines, show_closing
+from otc_dist.launch.show.summary import closing_lines, show_closing
 from otc_dist.report.numbers import MINUS, NOTHING, columns
 from otc_dist.report.run_data import read_run
 from otc_dist.report.verdict import verdict
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
 
 from .conftest import MadeRun
 from .test_report import report

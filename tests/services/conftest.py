@@ -18,7 +18,7 @@ from otc_dist.bus.endpoints import local_endpoint, remove_local_endpoint
 from otc_dist.datasets import store
 from otc_dist.deployment_log.reader import read_steps
 from otc_dist.description import Description
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
 from otc_dist.transitions import JointStep
 
 PATIENCE = 600.0  # seconds; only a test that fails waits as long

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from otc_dist import measured
 from otc_dist.deployment_log.measuring import read_measured
+from otc_dist.run import measured_returns
 
 from .conftest import AGENTS, PROCESSES, Services
 
@@ -49,14 +49,14 @@ def recommendations(run: Services) -> list[dict[str, Any]]:
     return [json.loads(run.folder.recommended(agent).read_text()) for agent in AGENTS]
 
 
-def by_the_logs(run: Services, deployments: int) -> list[measured.Measured]:
+def by_the_logs(run: Services, deployments: int) -> list[measured_returns.Measured]:
     return [read_measured(run.folder.deployment(k))[1] for k in range(1, deployments + 1)]
 
 
 def test_all_learners_recommend_what_the_logs_say_was_best(confirmed: Services) -> None:
     found = by_the_logs(confirmed, 5)
     assert len({one.mean for one in found}) == 5
-    best = measured.best(found)
+    best = measured_returns.best(found)
     for agent, told in zip(AGENTS, recommendations(confirmed), strict=True):
         assert told == {
             "agent": agent,
@@ -113,7 +113,7 @@ def test_tuning_goes_on_from_the_best_policy_so_far(reverting: Services) -> None
     said = reverting.output("agent_0")
     fell_short = 0
     for k in range(1, 5):
-        best = measured.best(found[:k])
+        best = measured_returns.best(found[:k])
         line = f"deployment {k} fell short: tuning goes on from policy {best - 1}"
         assert (line in said) is (best < k)
         fell_short += best < k
@@ -146,8 +146,10 @@ def test_a_lost_checkpoint_of_the_best_policy_is_made_again(
 ) -> None:
     run = make_run(tmp_path / "run", *BEST, "deployment.revert=true")
     found = by_the_logs(reverting, 4)
-    k = next(k for k in range(2, 5) if measured.best(found[:k]) < k)  # the first that falls short
-    lost = run.folder.checkpoint("agent_1", measured.best(found[:k]) - 1)
+    k = next(
+        k for k in range(2, 5) if measured_returns.best(found[:k]) < k
+    )  # the first that falls short
+    lost = run.folder.checkpoint("agent_1", measured_returns.best(found[:k]) - 1)
     for name in ("host", "agent_0", "agent_2"):
         run.start(name, **({"stub": True} if name != "host" else {}))
     run.start("agent_1", stub=True, kill=["deployment", k, 10])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.run_folder import RunFolder
+from otc_dist.run.folder import RunFolder
 from otc_dist.services.metrics import MetricsFile
 
 

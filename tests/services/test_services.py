@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist import team
 from otc_dist.bus.endpoints import local_endpoint, local_socket, remove_local_endpoint
 from otc_dist.bus.keys import Keys
 from otc_dist.datasets import store
 from otc_dist.deployment_log.reader import read_steps
 from otc_dist.description import Description
 from otc_dist.envs import registry
-from otc_dist.learner import Learner
+from otc_dist.learner import team
+from otc_dist.learner.learner import Learner
 
 from .conftest import AGENTS, PATIENCE, Services, step_bytes
 
@@ -89,7 +89,7 @@ def test_the_env_host_opens_no_agents_data_and_runs_without_torch(finished: Serv
 
 def test_a_learner_that_compiles_nothing_does_without_torchs_compiler(finished: Services) -> None:
     """To import it takes longer than a small run's training."""
-    assert finished.record("agent_0")["modules"] == ["otc_dist.learner", "torch"]
+    assert finished.record("agent_0")["modules"] == ["otc_dist.learner.learner", "torch"]
 
 
 def _equals_brains_in_one_process(services: Services) -> None:

@@ -37,9 +37,9 @@ def _stub(where: str) -> types.ModuleType:
     """A brain that acts and learns in microseconds, by all that it has seen, to the bit."""
     import numpy as np
 
-    from otc_dist.errors import UserError
+    from otc_dist.terminal.errors import UserError
 
-    module = types.ModuleType("otc_dist.learner")
+    module = types.ModuleType("otc_dist.learner.learner")
 
     @dataclass(frozen=True)
     class Progress:
@@ -119,7 +119,7 @@ def _record(target: Path) -> set[str]:
             opened.add(os.path.abspath(os.fsdecode(arguments[0])))  # noqa: PTH100
 
     def save() -> None:
-        telling = {"torch", "torch._dynamo", "otc_dist.learner"}
+        telling = {"torch", "torch._dynamo", "otc_dist.learner.learner"}
         modules = sorted(telling & sys.modules.keys())
         target.write_text(
             json.dumps({"opened": sorted(opened), "keys": sorted(keys), "modules": modules})
@@ -214,7 +214,7 @@ def main() -> None:
             module.PROTOCOL_VERSION = faults["version"]  # type: ignore[attr-defined]
     _instrument(faults, keys)
     if faults.get("stub"):
-        sys.modules["otc_dist.learner"] = _stub(str(faults["stub"]))
+        sys.modules["otc_dist.learner.learner"] = _stub(str(faults["stub"]))
     if "full_disk" in faults:
         _fill_disk(faults["full_disk"])
     runpy.run_module(f"otc_dist.services.{service}", run_name="__main__", alter_sys=True)

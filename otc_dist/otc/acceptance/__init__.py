@@ -1,14 +1,14 @@
 """The rules by which transitions are accepted, given their distances: one file each.
 
-`otc_dist/otc/correction.py` lists them.
+`otc_dist/otc/samplers/correction.py` lists them.
 """
 
 from collections.abc import Callable
 
-from otc_dist import user_code
-from otc_dist.otc.correction import ACCEPTANCES, CorrectionSection
+from otc_dist.description import user_code
 from otc_dist.otc.distances.interface import Distance
-from otc_dist.otc.samplers import Sampler
+from otc_dist.otc.samplers.correction import ACCEPTANCES, CorrectionSection
+from otc_dist.otc.samplers.interface import Sampler
 
 Accept = Callable[[Distance, CorrectionSection, int], Sampler]  # for batches of that size
 

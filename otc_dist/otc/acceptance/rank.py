@@ -11,14 +11,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.interface import State
 from otc_dist.otc.alpha import Alpha
-from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Distance, Matching
 from otc_dist.otc.prioritization import prioritize
-from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
+from otc_dist.otc.samplers.correction import CorrectionSection
+from otc_dist.otc.samplers.interface import (
+    Begun,
+    Extent,
+    Gathered,
+    Held,
+    Indices,
+    Sampler,
+    Selection,
+)
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.state import State
 
 log = logging.getLogger(__name__)
 

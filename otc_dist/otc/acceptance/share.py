@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from otc_dist.otc.acceptance.weighted import Weighted
-from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.distances.interface import Distance
-from otc_dist.otc.samplers import Extent, Sampler
+from otc_dist.otc.samplers.correction import CorrectionSection
+from otc_dist.otc.samplers.interface import Extent, Sampler
 
 
 def create(distance: Distance, settings: CorrectionSection, batch_size: int) -> Sampler:

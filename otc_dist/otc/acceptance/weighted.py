@@ -7,12 +7,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draws
-from otc_dist.algorithms.interface import State
-from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Distance
-from otc_dist.otc.samplers import Begun, Extent, Gathered, Held, Indices, Sampler, Selection
+from otc_dist.otc.samplers.correction import CorrectionSection
+from otc_dist.otc.samplers.interface import (
+    Begun,
+    Extent,
+    Gathered,
+    Held,
+    Indices,
+    Sampler,
+    Selection,
+)
+from otc_dist.steps.draws import Draws
+from otc_dist.steps.state import State
 
 # From scores (size,), D_k's last, and the extent: how likely each row is accepted (size,), 0 to 1.
 Weigh = Callable[[CorrectionSection, Tensor, Extent], Tensor]

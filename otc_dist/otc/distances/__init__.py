@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from otc_dist import user_code
+from otc_dist.description import user_code
 from otc_dist.description.distances import DISTANCES
-from otc_dist.engine import Engine
 from otc_dist.otc.distances.interface import Distance, Features, Setting
+from otc_dist.steps.engine import Engine
 
 
 def create_distance(name: str, setting: Setting) -> Distance:

@@ -10,14 +10,15 @@ from itertools import chain
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.interface import State, action_features, unpack
-from otc_dist.algorithms.moments import moments
-from otc_dist.engine import Engine
-from otc_dist.otc.correction import settings_of
+from otc_dist.algorithms.interface import action_features, unpack
 from otc_dist.otc.distances.gaps import gaps
 from otc_dist.otc.distances.interface import Ids, Report, Setting
 from otc_dist.otc.distances.nearest import FeatureDistance
-from otc_dist.otc.samplers import Random
+from otc_dist.otc.samplers.correction import settings_of
+from otc_dist.otc.samplers.interface import Random
+from otc_dist.steps.engine import Engine
+from otc_dist.steps.standardisation import moments
+from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
 CHUNK = 65_536  # rows looked at at once

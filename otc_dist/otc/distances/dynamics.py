@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.interface import State
 from otc_dist.description import DynamicsSection
-from otc_dist.engine import Engine
 from otc_dist.otc.distances.change import matched_size
 from otc_dist.otc.distances.interface import Scores, Setting
 from otc_dist.otc.forward import FOLDS, Descent, Forward, Regression, apart
-from otc_dist.otc.samplers import Held
+from otc_dist.otc.samplers.interface import Held
+from otc_dist.steps.engine import Engine
+from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
 LOOK_EVERY = 25  # updates of c_k between two looks at its held-out error

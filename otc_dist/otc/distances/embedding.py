@@ -12,17 +12,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draws, draw, to_tensors
-from otc_dist.algorithms.interface import Batch, State, action_features, unpack
+from otc_dist.algorithms.interface import Batch, action_features, unpack
 from otc_dist.description import EmbeddingSection
-from otc_dist.engine import Engine
-from otc_dist.otc.correction import settings_of
 from otc_dist.otc.distances.gaps import gaps
 from otc_dist.otc.distances.interface import Ids, Report, Setting
 from otc_dist.otc.distances.nearest import FeatureDistance
 from otc_dist.otc.embedding import Embedding, active_dimensions
-from otc_dist.otc.samplers import Random
-from otc_dist.training import BLOCK, train
+from otc_dist.otc.samplers.correction import settings_of
+from otc_dist.otc.samplers.interface import Random
+from otc_dist.steps.draws import Draws, draw, to_tensors
+from otc_dist.steps.engine import Engine
+from otc_dist.steps.state import State
+from otc_dist.steps.training import BLOCK, train
 from otc_dist.transitions import RowLayout
 
 CHUNK = 8192  # rows embedded at once: more take memory, not less time

@@ -9,11 +9,12 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.interface import Critic, State
+from otc_dist.algorithms.interface import Critic
 from otc_dist.description import Description
 from otc_dist.otc.data import Data
-from otc_dist.otc.samplers import Held, Random
+from otc_dist.otc.samplers.interface import Held, Random
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
 Report = Callable[[int, dict[str, float]], None]  # updates done, and their mean metrics

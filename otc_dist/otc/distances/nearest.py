@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws
-from otc_dist.algorithms.interface import State
-from otc_dist.otc.correction import CorrectionSection
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Ids, Scores
-from otc_dist.otc.samplers import Held
+from otc_dist.otc.samplers.correction import CorrectionSection
+from otc_dist.otc.samplers.interface import Held
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.state import State
 
 PAIR_CHUNK = 256  # transitions compared with all of D_k at once
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from otc_dist.otc.distances.interface import Scores, Setting
-from otc_dist.otc.samplers import Held
+from otc_dist.otc.samplers.interface import Held
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from otc_dist.engine import Engine
 from otc_dist.otc.distances.interface import Scores, Setting
 from otc_dist.otc.forward import Forward
-from otc_dist.otc.samplers import Held
+from otc_dist.otc.samplers.interface import Held
+from otc_dist.steps.engine import Engine
 
 
 @dataclass(frozen=True)

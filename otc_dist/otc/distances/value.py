@@ -6,12 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from otc_dist.algorithms.draws import Draw, Draws, draw, to_tensors
-from otc_dist.algorithms.interface import Batch, Critic, State, unpack
-from otc_dist.otc.correction import CorrectionSection, NormaliserName, settings_of
+from otc_dist.algorithms.interface import Batch, Critic, unpack
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Ids, Scores, Setting
-from otc_dist.otc.samplers import Held
+from otc_dist.otc.samplers.correction import CorrectionSection, NormaliserName, settings_of
+from otc_dist.otc.samplers.interface import Held
+from otc_dist.steps.draws import Draw, Draws, draw, to_tensors
+from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
 GUARD = 1e-2  # a normaliser below this many standard deviations is replaced

@@ -8,18 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import otc_dist
-from otc_dist import durable, progress
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import LogSummary, read_header, summarise
 from otc_dist.deployment_log.several import in_order
-from otc_dist.errors import UserError
-from otc_dist.printable import say
+from otc_dist.replay.export.disk_space import require_room
 from otc_dist.replay.export.formats import FORMATS, Format, View
-from otc_dist.replay.export.room import require_room
 from otc_dist.replay.export.trajectories import Trajectory, trajectories
 from otc_dist.replay.output import claimed, note_shortfall
 from otc_dist.replay.selection import Selection, select
 from otc_dist.spec import TeamSpec
+from otc_dist.system import durable
+from otc_dist.terminal import progress
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.printable import say
 
 CARD = "export.json"  # says what is in the folder
 _BATCH = 65_536  # transitions that are written at once

@@ -6,10 +6,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
-from otc_dist.errors import UserError
-from otc_dist.extras import install
 from otc_dist.replay.export.trajectories import Trajectory
 from otc_dist.spec import TeamSpec
+from otc_dist.system.extras import install
+from otc_dist.terminal.errors import UserError
 
 EXTRA = "export"  # of pyproject.toml
 

@@ -19,9 +19,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from otc_dist.replay.export.column_statistics import Statistics
 from otc_dist.replay.export.formats import View
 from otc_dist.replay.export.parquet_files import rows_writer
-from otc_dist.replay.export.statistics import Statistics
 from otc_dist.replay.export.tables import Columns, to_table
 from otc_dist.replay.export.trajectories import Trajectory
 

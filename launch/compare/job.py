@@ -1,0 +1,51 @@
+"""`python -m otc_dist.launch.compare.job FOLDER SEED PIECE ...`: one process of a comparison.
+
+offline AGENT [ASSIGNMENT ...]   train pi_0 of one agent, or of an arm that has its own
+pi_0 [ASSIGNMENT ...]            evaluate the team pi_0
+arm NAME ASSIGNMENT ...          tune and evaluate an arm
+"""
+
+from pathlib import Path
+
+import torch
+
+from otc_dist.comparison import arms, runs
+from otc_dist.comparison.mechanism import check
+from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.description import Description, user_code
+from otc_dist.terminal.errors import run_main
+
+from ..plan.run_record import versions
+from ..supervise.jobs import Teller
+
+
+def main(argv: list[str]) -> int:
+    """Do one piece."""
+    torch.set_num_threads(1)
+    path, seed, piece, *rest = argv
+    folder = ComparisonFolder(Path(path))
+    base = Description.load(folder.description).trusted()
+    arms.trust(rest)
+    with user_code.answers_for(*base.parts, *(text.partition("=")[2] for text in rest)):
+        _do(folder, base, int(seed), piece, rest)
+    return 0
+
+
+def _do(
+    folder: ComparisonFolder, base: Description, seed: int, piece: str, rest: list[str]
+) -> None:
+    if piece == "offline":
+        runs.train_offline(folder, base, seed, rest[0], Teller(), rest[1:])
+    elif piece == "pi_0":
+        runs.evaluate_offline(folder, base, seed, rest)
+    else:
+        name, *assignments = rest
+        if piece == "arm":
+            runs.run_arm(folder, base, seed, name, assignments, versions(), Teller())
+        else:
+            analysed = base.with_assignments(*assignments)
+            check.measure(folder, analysed, seed, name, Teller())
+
+
+if __name__ == "__main__":
+    run_main(main)

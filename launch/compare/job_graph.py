@@ -1,0 +1,235 @@
+"""A comparison as jobs: data, offline training of every agent, pi_0's evaluation, every arm."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from otc_dist.comparison.arms import ANALYSES, Arms, describe, offline_files
+from otc_dist.comparison.scores import OFFLINE, ComparisonFolder, write_json
+from otc_dist.datasets import inputs, store
+from otc_dist.description import Description
+from otc_dist.envs import registry
+from otc_dist.run.folder import RunFolder
+from otc_dist.system import durable, records
+from otc_dist.terminal.errors import UserError
+
+from ..plan import forecast, run_record
+from ..plan.new_folder import take_away
+from ..supervise.jobs import FailedError, Job
+from ..supervise.processes import MISTAKE
+
+ANALYSIS = 20.0  # seconds that an analysis takes a deployment
+MODULE = (sys.executable, "-m")
+
+
+@contextmanager
+def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
+    """The folder, held against other launchers, with `base` as its description.
+
+    If what is done in it is refused before any job is done, it is taken away again.
+
+    Raises:
+        UserError: it is held, cannot be written, or is of another description or other data.
+    """
+    try:
+        folder.root.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"cannot make {folder.root}: {error.strerror}") from None
+    if RunFolder(folder.root).run_json.exists():
+        raise UserError(f"{folder.root} is a run's folder, no comparison's; use another --out")
+    with run_record.locked(RunFolder(folder.root)):
+        if folder.description.exists():
+            _same(Description.load(folder.description), base, folder)
+        elif any(path.name != ".lock" for path in folder.root.iterdir()):
+            raise UserError(f"{folder.root} holds something else; use another --out")
+        else:
+            durable.write(folder.description, base.to_toml().encode())
+        try:
+            note_inputs(folder, base)
+            yield
+        except UserError:
+            take_away(folder.root)
+            raise
+
+
+def failure(failed: FailedError, folder: ComparisonFolder) -> int:
+    """Say what failed; returns the exit status.
+
+    Where it is a mistake, and no job was done before, the folder is taken away again.
+    """
+    print(f"error: {failed}", file=sys.stderr)
+    if failed.status == MISTAKE:
+        take_away(folder.root)
+    return failed.status
+
+
+def note_inputs(folder: ComparisonFolder, base: Description) -> None:
+    """Note what all arms read, as far as it is there, once; later it must be the same.
+
+    Raises:
+        UserError: it is not, or cannot be noted.
+    """
+    noted = records.read_json(dict[str, str], folder.inputs) if folder.inputs.exists() else {}
+    found, agents = inputs.sources(base) | inputs.code(base), registry.team_spec(base.env.id).names
+    name, transitions = base.dataset.name, base.dataset.transitions
+    if all(store.agent_file(name, agent, transitions).exists() for agent in agents):
+        found |= inputs.data(base, agents)
+    inputs.check(noted, found, base)
+    if (now := {**found, **noted}) != noted:
+        write_json(folder.inputs, now)
+
+
+def _same(found: Description, wanted: Description, folder: ComparisonFolder) -> None:
+    """Raises UserError, naming the first difference.
+
+    The summary comes last: any `--set` empties it, and what was set says more.
+    """
+    before, now = _flat(found), _flat(wanted)
+    for key, value in sorted(now.items(), key=lambda item: item[0] == "summary"):
+        if before[key] != value:
+            raise UserError(
+                f"{folder.root} was begun with {key} = {before[key]}, and this is {value};"
+                " use another --out"
+            )
+
+
+def _flat(description: Description) -> dict[str, object]:
+    flat: dict[str, object] = {}
+    for key, value in description.model_dump(mode="json").items():
+        below = value.items() if isinstance(value, dict) else ()
+        flat |= {f"{key}.{name}": item for name, item in below} or {key: value}
+    return flat
+
+
+def _data(folder: ComparisonFolder, base: Description) -> Job:
+    """The data set."""
+    dataset = base.dataset
+    last = registry.team_spec(base.env.id).names[-1]
+    make = (*MODULE, "otc_dist.datasets", "make", dataset.name)
+    return Job(
+        "data",
+        (*make, "--transitions", str(dataset.transitions)),
+        store.agent_file(dataset.name, last, dataset.transitions),
+        folder.root / "output" / "data.log",
+        seconds=120,
+    )
+
+
+def _training(
+    folder: ComparisonFolder,
+    base: Description,
+    seed: int,
+    data: Job,
+    assignments: Sequence[str] = (),
+    owner: str = "",
+) -> list[Job]:
+    """Offline training of every agent of a seed: for all arms, or for `owner` with its own pi_0."""
+    description = describe(base, assignments, seed)
+    files = offline_files(folder, base, description)
+    seconds = forecast.offline(description) + forecast.fits(base)
+    return [
+        Job(
+            f"seed {seed}, {agent} offline{owner and f' for {owner}'}",
+            _piece(folder, seed, "offline", agent, *assignments),
+            files.checkpoint(agent, 0),
+            folder.output(seed, f"offline_{agent}{owner and f'_{owner}'}"),
+            (data.product,),
+            seconds,
+        )
+        for agent in registry.team_spec(base.env.id).names
+    ]
+
+
+def _trained_and_evaluated(
+    folder: ComparisonFolder,
+    base: Description,
+    seed: int,
+    data: Job,
+    assignments: Sequence[str] = (),
+    owner: str = "",
+) -> list[Job]:
+    """The same, and the evaluation of pi_0 last."""
+    training = _training(folder, base, seed, data, assignments, owner)
+    files = offline_files(folder, base, describe(base, assignments, seed))
+    evaluation = Job(
+        f"seed {seed}, evaluation of pi_0{owner and f' for {owner}'}",
+        _piece(folder, seed, "pi_0", *assignments),
+        files.root / OFFLINE,
+        folder.output(seed, f"pi_0{owner and f'_{owner}'}"),
+        tuple(job.product for job in training),
+        seconds=15,
+    )
+    return [*training, evaluation]
+
+
+def comparison(
+    folder: ComparisonFolder, base: Description, arms: Arms, seeds: Sequence[int]
+) -> list[Job]:
+    """All jobs, seed by seed, so that what is done are complete seeds.
+
+    Raises:
+        UserError: a finished run is of another description, or damaged.
+    """
+    data = _data(folder, base)
+    jobs = [data]
+    for seed in seeds:
+        # By where pi_0 lies: several arms may have one of their own together.
+        offline = {folder.seed(seed).root: _trained_and_evaluated(folder, base, seed, data)}
+        jobs += offline[folder.seed(seed).root]
+        for arm, assignments in arms.items():
+            description = describe(base, assignments, seed)
+            folder.finished(seed, arm, description.digest())
+            root = offline_files(folder, base, description).root
+            if root not in offline:
+                offline[root] = _trained_and_evaluated(folder, base, seed, data, assignments, arm)
+                jobs += offline[root]
+            jobs.append(
+                Job(
+                    f"seed {seed}, arm {arm}",
+                    _piece(folder, seed, "arm", arm, *assignments),
+                    folder.run(seed, arm),
+                    folder.output(seed, arm),
+                    tuple(job.product for job in offline[root]),
+                    _tuning_seconds(description, ANALYSIS if arm in ANALYSES else 0.0),
+                )
+            )
+    return jobs
+
+
+def mechanism(
+    folder: ComparisonFolder,
+    base: Description,
+    seeds: Sequence[int],
+    name: str,
+    assignments: Sequence[str],
+) -> list[Job]:
+    """Offline training where it is missing, and the mechanism check `name` of every seed."""
+    data = _data(folder, base)
+    training = {seed: _training(folder, base, seed, data) for seed in seeds}
+    return [
+        data,
+        *(job for of_seed in training.values() for job in of_seed),
+        *(
+            Job(
+                f"seed {seed}, mechanism",
+                _piece(folder, seed, "mechanism", name, *assignments),
+                folder.mechanism(name, seed),
+                folder.output(seed, "mechanism"),
+                tuple(job.product for job in training[seed]),
+                seconds=120,
+            )
+            for seed in seeds
+        ),
+    ]
+
+
+def _piece(folder: ComparisonFolder, seed: int, *piece: str) -> tuple[str, ...]:
+    return (*MODULE, "otc_dist.launch.compare.job", str(folder.root), str(seed), *piece)
+
+
+def _tuning_seconds(description: Description, analysis: float) -> float:
+    """Of a run; `analysis`: of what is looked at after each deployment."""
+    team = registry.team_spec(description.env.id)
+    once = forecast.tuning(description) + forecast.acting(description, team)
+    each = once + forecast.judging(description, team)
+    return 10 + description.deployment.count * (len(team.agents) * each + analysis)

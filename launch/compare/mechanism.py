@@ -1,0 +1,100 @@
+"""`launch mechanism NAME`: do the transitions that OTC selects follow the online dynamics?"""
+
+from contextlib import nullcontext
+from pathlib import Path
+
+from otc_dist.comparison import arms as arms_of
+from otc_dist.comparison.mechanism import table
+from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.description import Description, user_code
+from otc_dist.envs import registry
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.parser import Parser
+
+from ..plan import descriptions
+from ..run.resolve import resolve
+from ..supervise.jobs import FailedError, StoppedError, cores, run_jobs
+from . import job_graph
+
+_EXPLANATION = """\
+Deploys the offline policies once and asks, of the transitions that each distance selects at
+alpha_0: how far are the other agents' recorded actions from what those agents would do now? As a
+ratio to uniform sampling, beside an oracle that sorts by this very mismatch. It needs joint data,
+which only an analysis sees; no learner does. Far less noisy than returns.
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Measure and print. Returns the exit status.
+
+    Raises:
+        UserError: anything the user can mend: one line, status 2.
+    """
+    arguments = command_line().parse_args(argv)
+    user_code.allow(*arguments.allow)
+    seeds = arms_of.parse_seeds(arguments.seeds)
+    quick: bool = arguments.quick
+    started = descriptions.load(arguments.description, (), None, quick)
+    default = Path("runs") / f"compare-{started.name}{'-quick' if quick else ''}"
+    folder = ComparisonFolder((arguments.checkpoints or default).resolve())
+    if arguments.checkpoints and not folder.root.is_dir():
+        raise UserError(f"there is no folder {folder.root}; leave --checkpoints out to begin anew")
+    if folder.description.exists():
+        base = Description.load(folder.description)
+        user_code.require(*base.code)  # which those who measure run
+        if base.name != started.name:
+            raise UserError(f"{folder.root} is of {base.name}, not of {started.name}")
+        analysed = base.with_assignments(*arguments.set)
+        if analysed.offline_digest() != base.offline_digest():
+            raise UserError(
+                f"--set would change pi_0, and {folder.root} has its own: leave it out, or use"
+                " another --checkpoints"
+            )
+    else:
+        base = resolve(descriptions.load(arguments.description, arguments.set, None, quick))
+        analysed = base
+    if len(registry.team_spec(base.env.id).agents) < 2:
+        raise UserError(f"the mechanism check is about other agents, and {base.env.id} has none")
+    name = analysed.digest()
+    jobs = job_graph.mechanism(folder, base, seeds, name, arguments.set)
+    # A comparison may be at work in the folder: it is ours only if something must be trained.
+    trained = all(job.done for job in jobs[: -len(seeds)])
+    with nullcontext() if trained else job_graph.opened(folder, base):
+        try:
+            run_jobs(jobs, cores(), lambda job: None, base.bus.answer_deadline)
+        except FailedError as failed:
+            return job_graph.failure(failed, folder)
+        except StoppedError as stopped:
+            print(f"stopped by {stopped}; the same command goes on")
+            return stopped.status
+    if quick:
+        print(descriptions.QUICK_LABEL)
+    found = table.read([folder.mechanism(name, seed) for seed in seeds])
+    print("\n".join(found.lines()))
+    return 0
+
+
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
+    parser = Parser(
+        prog="python -m otc_dist.launch mechanism", description=_EXPLANATION, allow_abbrev=False
+    )
+    parser.add_argument("description", help="a shipped description's name, or a TOML file")
+    parser.add_argument("--seeds", default="0..2", help="0..2 or 0,1,5 (default: %(default)s)")
+    parser.add_argument(
+        "--checkpoints",
+        type=Path,
+        metavar="DIR",
+        help="a comparison's folder: its offline policies are used, and missing ones are trained"
+        " there, which takes as long as offline training (default: runs/compare-NAME)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="section.key=value",
+        help="change one value, like sampling.alpha=2",
+    )
+    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
+    user_code.add_flag(parser)
+    return parser

@@ -1,0 +1,56 @@
+"""Where descriptions come from: shipped by name, or a TOML file; and the `--quick` short form."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from otc_dist.description import Description
+from otc_dist.terminal.errors import unknown
+
+# A look at every part of a run in under a minute on two cores: sizes only, never the algorithm.
+# Eager, because compiling would take longer than the run.
+QUICK = (
+    "dataset.transitions=8000",
+    "embedding.updates=200",
+    "dynamics.updates=200",
+    "dynamics.correction_updates=50",
+    "offline.updates=500",
+    "deployment.count=2",
+    "deployment.fraction=0.05",
+    "deployment.updates=100",
+    "evaluation.episodes=4",
+    "sampling.references=400",
+    'engine.name="eager"',
+)
+QUICK_LABEL = "a quick look, not a result"
+QUICK_HELP = f"little data and few updates: {QUICK_LABEL}"
+
+
+def shipped() -> dict[str, Path]:
+    """Every description that comes with the package: name -> TOML file."""
+    return {path.stem: path for path in sorted(Path(__file__).parents[1].glob("*.toml"))}
+
+
+def find(name: str) -> Path:
+    """The TOML file that `name`, a shipped description's name or a path, stands for.
+
+    Raises:
+        UserError: no shipped description has this name (the nearest is suggested).
+    """
+    if name.endswith(".toml") or "/" in name:
+        return Path(name)
+    known = shipped()
+    if name not in known:
+        raise unknown("description", name, known)
+    return known[name]
+
+
+def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -> Description:
+    """The description `name` with `--quick`, then `--set`, then `--seed` applied, in that order.
+
+    Raises:
+        UserError: see `find` and `Description.load`.
+    """
+    changes = [*(QUICK if quick else ()), *assignments]
+    if seed is not None:
+        changes.append(f"seed={seed}")
+    return Description.load(find(name), changes).trusted()

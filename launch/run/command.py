@@ -1,0 +1,222 @@
+"""`launch NAME`: from the command line to a run folder that is ready to be conducted."""
+
+import argparse
+import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+
+from otc_dist.bus.keys import HOST
+from otc_dist.comparison import arms, meanings
+from otc_dist.description import Description, user_code
+from otc_dist.run.folder import RunFolder
+from otc_dist.spec import TeamSpec
+from otc_dist.terminal.commands import OF_LAUNCH, lines
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.parser import Parser
+from otc_dist.terminal.printable import say
+
+from ..plan import descriptions, new_folder, plan, preflight, run_record
+from ..plan.role import Place
+from . import hosts
+from .extend import extend
+from .origin import Origin
+from .resolve import resolve
+from .run_loop import conduct
+
+INSECURE = (
+    "WARNING: --insecure: nothing on the network is encrypted or checked; whoever reaches the"
+    " endpoint can read this run, act in it and end it"
+)
+
+
+def main(argv: list[str]) -> int:
+    """Run, resume, list or plan. Returns the exit status.
+
+    Raises:
+        UserError: anything the user can mend: one line, status 2.
+    """
+    parser = command_line()
+    arguments = parser.parse_args(argv)
+    _check(parser.given(arguments))
+    user_code.allow(*arguments.allow)
+    if arguments.arm is not None and arguments.resume is None:
+        # Whatever is done with --set, as on other hosts, is done with an arm.
+        arguments.set = [*arms.of_single_run(arguments.arm), *arguments.set]
+    if arguments.list:
+        shipped = descriptions.shipped()
+        width = max(map(len, shipped))
+        for name, path in shipped.items():
+            print(f"{name:{width}} {Description.load(path).heading}")
+        return 0
+    if arguments.resume is not None:
+        return _resume(arguments)
+    if arguments.description is None:
+        raise UserError("which description? --list shows those that come with the package")
+    return _start(arguments)
+
+
+# What one asks for -> why, and with what it can be asked for: whatever else is given does nothing.
+_TOGETHER = {
+    "list": ("--list tells what there is", ()),
+    "resume": ("--resume goes on with the run as it was begun", ("deployments",)),
+    "hosts": (
+        "--hosts says what each host does",
+        ("description", "arm", "set", "seed", "quick", "insecure", "ssh"),
+    ),
+}
+
+
+def _check(given: Mapping[str, str]) -> None:
+    """Refuse flags that would do nothing. Raises UserError."""
+    for asked, (why, beside) in _TOGETHER.items():
+        if asked in given:
+            if idle := [flag for name, flag in given.items() if name not in (asked, *beside)]:
+                raise UserError(f"{why}: leave out {idle[0]}")
+            return
+    if "deployments" in given:
+        raise UserError("--deployments extends a run: with --resume; else --set deployment.count=N")
+    if "allow" in given and "origin" not in given:
+        raise UserError("--allow is for --from: the code that a description names is run anyway")
+    if "ssh" in given:
+        raise UserError("--ssh needs --hosts FILE: on which hosts?")
+
+
+def _start(arguments: argparse.Namespace) -> int:
+    quick: bool = arguments.quick
+    chosen = descriptions.load(arguments.description, arguments.set, arguments.seed, quick)
+    team = plan.team_of(chosen)
+    if arguments.origin is not None and arguments.role:
+        raise UserError("--from is for a run whose processes are all on one machine")
+    if arguments.hosts is not None:
+        return _on_hosts(arguments, team, bool(chosen.bus.router))
+    place = Place.of(arguments, chosen, team)
+    origin = Origin.of(arguments.origin, chosen) if arguments.origin else None
+    if origin:
+        chosen = origin.begun(chosen)
+    description = resolve(chosen, data_here=place.role != "host")
+    # A part of a run on several hosts has a folder of its own, also beside a whole run's.
+    part = "" if place.role == "all" else f"-{place.agent or HOST}"
+    quickly = "-quick" if quick else ""
+    arm = f"-{arguments.arm}" if arguments.arm else ""
+    name = f"{description.name}{arm}{quickly}-seed{description.seed}{part}"
+    out: Path = arguments.out or Path("runs") / name
+    run = out.name if place.role == "all" else run_record.shared_name(description)
+    planned = plan.make(description, RunFolder(out.resolve()), run, place)
+    if arguments.dry_run:
+        if quick:
+            print(descriptions.QUICK_LABEL)
+        say(*planned.lines())
+        preflight.check(planned, out)
+        return 0
+    if place.insecure:
+        print(INSECURE, file=sys.stderr)
+    preflight.check(planned, out)
+    if preflight.goes_on(planned):
+        with run_record.locked(planned.folder):
+            record = run_record.rejoin(planned.folder, description, place)
+            return conduct(plan.make(description, planned.folder, record.run, place), record)
+    folder = new_folder.make_folder(out, planned.disk_bytes)
+    with run_record.locked(folder):
+        try:
+            if origin:
+                origin.write(folder, description)
+            begun = origin.root if origin else None
+            record = run_record.create(folder, description, quick, place, begun)
+        except (UserError, OSError):
+            new_folder.take_away(folder.root, origin=True)
+            raise
+        return conduct(plan.make(description, folder, record.run, place), record)
+
+
+def _on_hosts(arguments: argparse.Namespace, team: TeamSpec, router: bool) -> int:
+    file = hosts.Hosts.load(arguments.hosts, team)
+    every = list(hosts.parts(file, hosts.run_words(arguments), arguments.insecure, router))
+    if arguments.insecure:
+        print(INSECURE, file=sys.stderr)
+    if not arguments.ssh:
+        hosts.show(file, every, arguments.insecure)
+        return 0
+    return hosts.run(every, Path("runs") / f"{arguments.hosts.stem}-output")
+
+
+def _resume(arguments: argparse.Namespace) -> int:
+    folder = RunFolder(arguments.resume.resolve())
+    with ExitStack() as stack:
+        # A folder without a record is not a run's: no lock in it.
+        run_record.RunRecord.read(folder).place.knock()
+        stack.enter_context(run_record.locked(folder))
+        if arguments.deployments is not None:
+            extend(folder, arguments.deployments)
+        record, description = run_record.reopen(folder)
+        return conduct(plan.make(description, folder, record.run, record.place), record)
+
+
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
+    parser = Parser(
+        prog="python -m otc_dist.launch",
+        description="\n".join(
+            [
+                "Run a launch description: data, offline training, deployments, report.",
+                "",
+                "other commands, with their own --help:",
+                *lines(OF_LAUNCH),
+            ]
+        ),
+        epilog="\n".join(["arms:", *meanings.lines(analyses=False)]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "description", nargs="?", help="a shipped description's name, or a TOML file"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="section.key=value", help="change one value"
+    )
+    parser.add_argument(
+        "--arm",
+        metavar="NAME",
+        help="sample as this arm of a comparison does; --set is applied after it; see below",
+    )
+    parser.add_argument("--seed", type=_whole, help="the run's seed")
+    parser.add_argument("--out", type=Path, help="run folder (default: runs/NAME-seedSEED)")
+    parser.add_argument("--resume", type=Path, metavar="RUN", help="go on with a run")
+    parser.add_argument(
+        "--deployments", type=_whole, metavar="N", help="with --resume: extend it to so many"
+    )
+    parser.add_argument(
+        "--from",
+        dest="origin",
+        type=Path,
+        metavar="RUN",
+        help="begin with the offline policies of another run, or of a comparison's seed folder",
+    )
+    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
+    parser.add_argument("--dry-run", action="store_true", help="print what would run, and stop")
+    apart = parser.add_argument_group("on several hosts (see docs/hosts.md)")
+    apart.add_argument("--role", choices=["host", "learner"], help="start this part only")
+    apart.add_argument("--agent", metavar="NAME", help="whose learner, as agent_0")
+    apart.add_argument("--listen", metavar="ENDPOINT", help="of the host, as tls/0.0.0.0:7447")
+    apart.add_argument("--connect", metavar="ENDPOINT", help="to the host, as tls/192.0.2.1:7447")
+    apart.add_argument(
+        "--certs", type=Path, metavar="DIR", help="what otc_dist.certs.authority has made"
+    )
+    apart.add_argument("--insecure", action="store_true", help="no TLS: anybody may read and write")
+    apart.add_argument(
+        "--hosts",
+        type=Path,
+        metavar="FILE",
+        help="print the command of each host in this TOML file",
+    )
+    apart.add_argument("--ssh", action="store_true", help="with --hosts: run them there")
+    user_code.add_flag(parser)
+    parser.add_argument("--list", action="store_true", help="list the shipped descriptions")
+    return parser
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None

@@ -1,0 +1,91 @@
+"""`python -m otc_dist.launch.run.compile RUN [AGENT]`: compile updates once, before learners start.
+
+They then load the code from the cache, instead of each compiling the same. What is compiled
+depends on the networks' and minibatches' sizes, so a learner with a little made-up data and a few
+updates asks for all of it. Only the code of a few samplers depends on the size of the buffer.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from otc_dist.description import Description
+from otc_dist.envs import registry
+from otc_dist.learner.learner import Learner
+from otc_dist.learner.trainer import Progress
+from otc_dist.randomness import stream
+from otc_dist.run.folder import RunFolder
+from otc_dist.spec import AgentSpec
+from otc_dist.terminal.errors import run_main
+from otc_dist.transitions import Transitions
+
+ROWS = 256  # of made-up data
+DEPLOYED = 16
+
+
+def main(argv: list[str]) -> int:
+    """Compile for every agent that differs in its sizes; agents of one size share the code.
+
+    `argv`: the run folder, and the agents that learn on this machine (none: all).
+    """
+    description = Description.load(RunFolder(Path(argv[0])).description).trusted()
+    agents = {
+        (agent.observation_size, agent.action_size): agent
+        for agent in registry.team_spec(description.env.id).agents
+        if agent.name in argv[1:] or not argv[1:]
+    }
+    print("compiling the updates (about a minute; seconds if done before) ...", file=sys.stderr)
+    start = time.monotonic()
+    for agent in agents.values():
+        _exercise(description, agent)
+    print(f"compiled in {time.monotonic() - start:.0f} s", file=sys.stderr)
+    return 0
+
+
+def _exercise(description: Description, agent: AgentSpec) -> None:
+    short = description.with_assignments(
+        "offline.updates=1", "embedding.updates=1", "deployment.updates=1", "deployment.count=1",
+        f"deployment.transitions={DEPLOYED}", "embedding.minimum_active=0",
+        "dynamics.updates=1", "dynamics.correction_updates=1", "deployment.turns=false",
+    )  # fmt: skip
+    short = short.with_assignments(*short.algorithm.brief)
+    rows, deployment = ROWS, description.deployment
+    if description.sampling.bound:
+        online = deployment.count * deployment.transitions
+        rows = description.dataset.transitions + online - DEPLOYED
+    task = registry.task(description.env.id)
+    learner = Learner(short, agent, made_up(agent, rows), task)
+    learner.pretrain(_ignore, lambda: None)
+    learner.tune(1, made_up(agent, DEPLOYED), _ignore)
+
+
+def made_up(agent: AgentSpec, rows: int) -> Transitions:
+    """`rows` transitions that a learner of `agent` accepts: no episode ends, all is available."""
+    random = stream(0, agent.name, "compile", rows)
+    low, high = np.array(agent.action_low), np.array(agent.action_high)
+    no = np.zeros(rows, dtype=np.bool_)
+    observations, next_observations = random.standard_normal(
+        (2, rows, agent.observation_size), np.float32
+    )
+    actions = random.uniform(low, high, (rows, agent.action_size)).astype(np.float32)
+    if agent.choices:  # indices, all of them available
+        actions = np.rint(actions)
+        observations[:, -agent.choices :] = next_observations[:, -agent.choices :] = 1
+    return Transitions(
+        observations=observations,
+        actions=actions,
+        rewards=random.standard_normal(rows, np.float32),
+        next_observations=next_observations,
+        terminated=no,
+        truncated=no,
+    )
+
+
+def _ignore(progress: Progress) -> None:
+    pass
+
+
+if __name__ == "__main__":
+    run_main(main)

@@ -1,0 +1,122 @@
+"""Fixes what a description leaves open, so that a run depends on nothing but its description."""
+
+import math
+import subprocess
+import sys
+import time
+
+from otc_dist.datasets.names import DatasetName
+from otc_dist.description import Description
+from otc_dist.description.algorithms import check_fit
+from otc_dist.envs import registry
+from otc_dist.terminal.errors import UserError
+
+from ..plan.keep import settled
+from ..supervise.standstill import Standstill
+from ..supervise.supervisor import die_with_parent
+
+_LOOK = 0.5  # seconds between two looks at who was asked
+
+# In a process of its own: importing torch takes seconds and memory that the launcher never needs.
+_ASK_ENGINE = """
+import sys
+from otc_dist.steps import engine
+from otc_dist.terminal.errors import run_main
+run_main(lambda argv: print(engine.resolve(argv[0], int(argv[1]))) or 0)
+"""
+
+
+def resolve(description: Description, data_here: bool = True) -> Description:
+    """A copy with dataset.transitions, M, L and what is kept (deployment.*), and engine.name fixed.
+
+    M is rounded up to a multiple of env.copies, since every copy contributes equally.
+
+    Args:
+        data_here: whether somebody learns on this machine; if not, an imported data set need not
+            be here.
+
+    Raises:
+        UserError: an unknown environment or data set, a data set of another environment, an
+            algorithm that does not fit its agents, deployments that cannot be compared though
+            that is asked for, or an engine that this machine cannot run.
+    """
+    task = registry.task(description.env.id)
+    for agent in registry.team_spec(description.env.id).agents:
+        check_fit(description.algorithm, agent, task)
+    name, transitions = description.dataset.name, description.dataset.transitions
+    if name.rpartition("/")[0] != description.env.id:
+        raise UserError(
+            f"the data set {name} is not of the environment {description.env.id}: change one"
+        )
+    if data_here or not transitions:
+        usual = _usual_size(name, data_here)
+        transitions = transitions or usual
+    copies = description.env.copies
+    wanted = description.deployment.transitions or description.deployment.fraction * transitions
+    deployed = math.ceil(max(wanted, 1) / copies) * copies
+    fixed = description.with_assignments(
+        f"dataset.transitions={transitions}",
+        f"deployment.transitions={deployed}",
+        f"deployment.updates={tuning_updates(description)}",
+    )
+    return settled(fixed).with_assignments(f"engine.name={_engine(fixed)}")
+
+
+def _usual_size(name: str, data_here: bool) -> int:
+    try:
+        return DatasetName.parse(name).usual_size()
+    except UserError:
+        if data_here:
+            raise
+        raise UserError(
+            f"{name} is not on this machine: say its size, --set dataset.transitions=N"
+        ) from None
+
+
+def tuning_updates(description: Description) -> int:
+    """L: as described, or the algorithm's of Table 3."""
+    return description.deployment.updates or description.algorithm.tuning_updates
+
+
+def total_updates(description: Description) -> int:
+    """Updates of one agent's base algorithm in the whole run."""
+    return (
+        description.offline.updates + description.deployment.count * description.deployment.updates
+    )
+
+
+def _engine(description: Description) -> str:
+    name = description.engine.name
+    if name == "eager":  # runs everywhere
+        return name
+    with subprocess.Popen(
+        [sys.executable, "-c", _ASK_ENGINE, name, str(total_updates(description))],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        process_group=0,
+        preexec_fn=die_with_parent(),
+    ) as asked:
+        try:
+            chosen, errors = _heard(asked, description.bus.answer_deadline)
+        finally:
+            asked.kill()
+    if asked.returncode != 0:
+        lines = errors.strip().splitlines() or ["no output"]
+        raise UserError(f"cannot choose an engine: {lines[-1].removeprefix('error: ')}")
+    return chosen.strip()
+
+
+def _heard(asked: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
+    """What a process printed to its end. Raises UserError if it stands still before."""
+    standstill = Standstill(asked.pid, patience)
+    while True:
+        try:
+            return asked.communicate(timeout=_LOOK)
+        except subprocess.TimeoutExpired:
+            if why := standstill.look(time.monotonic()):
+                raise UserError(
+                    f"cannot choose an engine: the process that was asked {why}; try again, or"
+                    " say it: --set engine.name=eager"
+                ) from None

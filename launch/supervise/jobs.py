@@ -1,0 +1,179 @@
+"""Many jobs on all cores: each a process, started when what it needs is done."""
+
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..plan import forecast
+from .health import LIMIT
+from .signals import Signals
+from .standstill import Standstill
+from .supervisor import End, Supervisor
+
+LOOK_EVERY = 0.5  # seconds between two looks at the processes
+LINE_EVERY = 30.0  # seconds between two progress lines
+TELL_EVERY = 1.0  # seconds between two lines of a job
+
+
+@dataclass(frozen=True)
+class Job:
+    """One process, done when the file `product` exists."""
+
+    name: str  # for people: "seed 3, arm uniform"
+    command: tuple[str, ...]
+    product: Path
+    output: Path
+    needs: tuple[Path, ...] = ()  # products of other jobs
+    seconds: float = 1.0  # expected, of one core
+
+    @property
+    def done(self) -> bool:
+        return self.product.exists()
+
+
+class FailedError(Exception):
+    """A job's process ended without success, or without its product."""
+
+    def __init__(self, job: Job, end: End) -> None:
+        lines = end.last_lines()
+        last = lines[-1].removeprefix("error: ") if lines else "it printed nothing"
+        if end.status == 2:  # a mistake, and the line says which
+            super().__init__(f"{job.name}: {last}")
+        else:
+            super().__init__(f"{job.name}: {end.manner}: {last} ({end.output})")
+        self.status = 2 if end.status == 2 else 1
+
+
+@dataclass
+class _Going:
+    """A job at work."""
+
+    job: Job
+    watched: Standstill
+    started: float  # clock
+    why: str = ""  # it was killed
+
+
+class StoppedError(Exception):
+    """The user, or the system, asked us to stop."""
+
+    def __init__(self, status: int, name: str) -> None:
+        super().__init__(name)
+        self.status = status
+
+
+def run_jobs(
+    jobs: Sequence[Job], workers: int, finished: Callable[[Job], None], patience: float
+) -> None:
+    """Do all jobs that are not done, at most `workers` at once, the earliest that can run first.
+
+    One that is killed, or stands still, is begun again, while the others go on.
+
+    Args:
+        patience: seconds that a job may stand still.
+
+    Raises:
+        FailedError: a job failed by itself, or was killed too often; the others were stopped.
+        StoppedError: a signal came; all were stopped.
+    """
+    waiting = [job for job in jobs if not job.done]
+    running: dict[str, _Going] = {}
+    restarts = Counter[str]()
+    clock = _Clock(sum(job.seconds for job in waiting), workers)
+    with Signals() as signals, Supervisor(signals) as supervisor:
+        while waiting or running:
+            for job in [job for job in waiting if all(path.exists() for path in job.needs)]:
+                if len(running) == workers:
+                    break
+                waiting.remove(job)
+                job.output.unlink(missing_ok=True)
+                supervisor.start(job.name, job.command, job.output)
+                watched = Standstill(supervisor.pid(job.name), patience)
+                running[job.name] = _Going(job, watched, time.monotonic())
+            signals.wait(LOOK_EVERY)
+            if signals.stop:
+                raise StoppedError(128 + signals.stop, signals.stop.name)
+            for end in supervisor.ended():
+                going = running.pop(end.process)
+                job = going.job
+                if end.status < 0 and restarts[job.name] < LIMIT:
+                    restarts[job.name] += 1
+                    how = end.manner + (f", since it {going.why}" if going.why else "")
+                    again = f"starts again ({restarts[job.name]} of {LIMIT})"
+                    print(f"{job.name}: {how}; {again}", flush=True)
+                    waiting.insert(0, job)
+                    continue
+                if end.status != 0 or not job.done:
+                    raise FailedError(job, end)
+                clock.add(job.seconds)
+                took = forecast.duration(time.monotonic() - going.started)
+                print(f"{job.name}: done in {took}", flush=True)
+                finished(job)
+            for name, going in running.items():
+                if not going.why and (why := going.watched.look(time.monotonic())):
+                    going.why = why
+                    supervisor.kill(name)
+            clock.show(going.job for going in running.values())
+
+
+class Teller:
+    """What a job prints: `0.25 where it stands`, now and then, for `run_jobs` to read."""
+
+    def __init__(self) -> None:
+        self._last = 0.0
+
+    def __call__(self, share: float, where: str) -> None:
+        now = time.monotonic()
+        if now - self._last >= TELL_EVERY:
+            self._last = now
+            print(f"{share:.4f} {where}", flush=True)
+
+
+def _told(job: Job) -> tuple[float, str]:
+    """The newest line that a job told: share done, and where it stands."""
+    try:
+        with job.output.open("rb") as file:
+            file.seek(max(0, job.output.stat().st_size - 1000))
+            lines = file.read().decode(errors="replace").splitlines()
+    except OSError:
+        return 0.0, "starting"
+    for line in reversed(lines):
+        share, _, where = line.partition(" ")
+        try:
+            return float(share), where
+        except ValueError:
+            continue  # a warning, a library's line
+    return 0.0, "starting"
+
+
+class _Clock:
+    """Progress lines with the time to go, by forecasts and by how true they have been."""
+
+    def __init__(self, total: float, workers: int) -> None:
+        self._total, self._workers = total, workers
+        self._done = 0.0
+        self._start = self._shown = time.monotonic()
+
+    def add(self, seconds: float) -> None:
+        self._done += seconds
+
+    def show(self, running: Iterable[Job]) -> None:
+        now = time.monotonic()
+        if now - self._shown < LINE_EVERY:
+            return
+        self._shown = now
+        told = [(job, *_told(job)) for job in running]
+        done = self._done + sum(job.seconds * share for job, share, _ in told)
+        # Trust the forecasts until some seconds have shown how this machine compares with them.
+        slower = ((now - self._start) * self._workers + 60) / (done + 60)
+        left = forecast.duration((self._total - done) * slower / self._workers)
+        lines = [f"{job.name}: {where}" for job, _, where in told]
+        print(f"{' · '.join(lines)} · about {left} to go", flush=True)
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

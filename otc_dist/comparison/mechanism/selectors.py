@@ -1,0 +1,154 @@
+"""The ways of selecting that the mechanism check holds against each other."""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from otc_dist.algorithms.interface import action_features, unpack
+from otc_dist.comparison.frozen_agent import Specimen
+from otc_dist.comparison.mechanism.pool import Pool
+from otc_dist.comparison.mechanism.table import ORACLE, UNIFORM
+from otc_dist.description import Description
+from otc_dist.description.distances import DISTANCES
+from otc_dist.otc.acceptance import rank
+from otc_dist.otc.distances import create_distance
+from otc_dist.otc.prioritization import prioritize
+from otc_dist.otc.samplers import priorities
+from otc_dist.otc.samplers.correction import settings_of
+from otc_dist.otc.samplers.interface import Extent, Held
+from otc_dist.randomness import stream
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.transitions import RowLayout
+
+Way = Callable[[Draws], Tensor]  # selected rows (batch,) of the pool, from one minibatch's draws
+Distances = Callable[[Draws], Tensor]  # of the candidates (B,) of one minibatch
+
+BEST = 0.1  # of the pool
+TENTH = "best tenth"
+_OTC = ("sampling.name=otc", "sampling.acceptance=rank", "sampling.matching=minibatch")
+
+
+def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, Way]:
+    """Row of the table -> how it selects. Without a Q there is no d_q."""
+    sampling, batch = settings_of(description), description.algorithm.batch_size
+    alpha = torch.tensor(sampling.alpha, dtype=torch.float32)
+
+    def ranked(distances: Distances) -> Way:
+        """By Eq. 3 at alpha_0, on the same candidates and by the same noise as all others."""
+
+        def rows(draws: Draws) -> Tensor:
+            positions = prioritize(
+                distances(draws),
+                alpha,
+                draws["priority"],
+                batch,
+                with_replacement=sampling.with_replacement,
+            )
+            return draws["candidates"][positions]
+
+        return rows
+
+    def within(name: str, assignments: Sequence[str]) -> Way:
+        """By distances within a minibatch, as Algorithm 1 has it."""
+        described = description.with_assignments(*_OTC, f"sampling.distance={name}", *assignments)
+        setting = specimen.setting._replace(description=described)
+        sampler = rank.create(create_distance(name, setting), settings_of(described), batch)
+        assert isinstance(sampler, rank.RankMatched)
+
+        def distances(draws: Draws) -> Tensor:
+            pairs = sampler.pairs(pool.data[name], draws)
+            return sampler.distances(specimen.state, pairs, draws)[0]
+
+        return ranked(distances)
+
+    pairs, successors = _standardised(pool, specimen.layout)
+
+    def gaps(draws: Draws) -> Tensor:
+        return torch.cdist(pairs[draws["candidates"]], pairs[draws["references"]])
+
+    def raw(draws: Draws) -> Tensor:
+        matched = draws["references"][gaps(draws).argmin(dim=1)]
+        difference = successors[draws["candidates"]] - successors[matched]
+        return difference.square().sum(dim=1)
+
+    found: dict[str, Way] = {}
+    for name, facts in DISTANCES.items():
+        if facts.needs_q and not specimen.critic:
+            continue
+        if facts.per_update:
+            for title, assignments in (facts.rows or {facts.title: ()}).items():
+                found[title] = within(name, assignments)
+        scores = _scores(description, specimen, pool, name)
+        if not facts.per_update:
+            found[facts.title] = ranked(partial(_looked_up, scores))
+        best = scores.argsort(stable=True)[: math.ceil(BEST * pool.size)]
+        found[f"{facts.title}, {TENTH}"] = partial(_any_of, best)
+    nearest = pool.mismatch[: pool.size].argsort(stable=True)[: math.ceil(BEST * pool.size)]
+    for row, weights in pool.weights.items():
+        found[row] = partial(_by_priority, priorities.of(weights))
+    return found | {
+        "raw (s, a) match, raw s'": ranked(raw),
+        "nearness in (s, a) alone": ranked(lambda draws: gaps(draws).amin(dim=1)),
+        # All at the same distance in a random order: uniform.
+        UNIFORM: ranked(lambda draws: torch.zeros(len(draws["candidates"]))),
+        ORACLE: ranked(lambda draws: pool.mismatch[draws["candidates"]]),
+        f"{ORACLE}, {TENTH}": partial(_any_of, nearest),
+    }
+
+
+def _looked_up(scores: Tensor, draws: Draws) -> Tensor:
+    return scores[draws["candidates"]]
+
+
+def _by_priority(held: tuple[Tensor, Tensor], draws: Draws) -> Tensor:
+    return priorities.choose(*held, draws["part"])
+
+
+def _any_of(rows: Tensor, draws: Draws) -> Tensor:
+    """As many of `rows` as a batch has, each as likely as another."""
+    return rows[(draws["part"] * len(rows)).long()]
+
+
+def _scores(description: Description, specimen: Specimen, pool: Pool, name: str) -> Tensor:
+    """Scores (size,) of the pool's rows, by all of D_1."""
+
+    def random(*key: int | str) -> np.random.Generator:
+        return stream(description.seed, "mechanism", "scores", name, *key)
+
+    data, size = pool.data[name], pool.size
+    extent = Extent(size, size, len(data.rows))
+    held = Held(specimen.state, data, extent, specimen.engine, random)
+    with torch.no_grad():
+        return (
+            create_distance(name, specimen.setting).scores(held, exclude_self=False).values[:size]
+        )
+
+
+def noise(description: Description, specimen: Specimen) -> dict[str, Draw]:
+    """The random arrays that all ways need for one minibatch."""
+    sampling, batch = settings_of(description), description.algorithm.batch_size
+    wanted: dict[str, Draw] = {}
+    if specimen.critic:
+        wanted.update(specimen.critic.value_noise(sampling.candidates, sampling.value_samples))
+    priority = {"priority": Draw("exponential", (sampling.candidates,))}
+    return wanted | priority | {"part": Draw("uniform", (batch,))}
+
+
+def _standardised(pool: Pool, layout: RowLayout) -> tuple[Tensor, Tensor]:
+    """(s, a) and s' of all rows, each component standardised over the pool."""
+    batch = unpack(pool.data["random"].rows, layout)
+    actions = action_features(batch.action, layout.choices)
+    state_std, state_mean = torch.std_mean(batch.observation[: pool.size], dim=0)
+    action_std, action_mean = torch.std_mean(actions[: pool.size], dim=0)
+    pairs = torch.cat(
+        [
+            (batch.observation - state_mean) / (state_std + 1e-3),
+            (actions - action_mean) / (action_std + 1e-3),
+        ],
+        dim=1,
+    )
+    return pairs, (batch.next_observation - state_mean) / (state_std + 1e-3)

@@ -1,0 +1,187 @@
+"""A base algorithm fed by a sampler: what one phase of training does, and its random numbers."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from otc_dist.algorithms.interface import Algorithm, Improving, unpack
+from otc_dist.otc.data import Data
+from otc_dist.otc.samplers.interface import Extent, Sampler
+from otc_dist.steps.draws import Draw, Draws, draw
+from otc_dist.steps.engine import Engine, Update
+from otc_dist.steps.state import State
+from otc_dist.steps.training import BLOCK, DrawBlock, train
+from otc_dist.terminal.errors import UserError
+from otc_dist.transitions import RowLayout
+
+Step = Callable[[State, Tensor, Tensor, Draws], tuple[State, Tensor]]
+OnBlock = Callable[[State, int, dict[str, float]], None]
+
+
+class Phase(NamedTuple):
+    """What the random numbers of a phase are keyed by."""
+
+    purpose: str  # "offline" or "tuning"
+    deployment: int
+    minibatch_key: int
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where training stands. Reported every 100 updates, the same in every run of a seed."""
+
+    phase: str  # "offline", what the distance fits ("embedding", "dynamics"), or "tuning"
+    deployment: int  # 0 while offline
+    update: int
+    updates: int
+    metrics: dict[str, float]  # means since the last report; tuning's first: what was measured
+
+
+Report = Callable[[Progress], None]
+
+
+class Trainer:
+    """Trains by one algorithm on the minibatches of one sampler.
+
+    Args:
+        step: the algorithm's update on packed rows, for values and to imitate, as the engine
+            runs it.
+        random: a stream for a key.
+    """
+
+    def __init__(
+        self,
+        algorithm: Algorithm,
+        sampler: Sampler,
+        step: Step,
+        layout: RowLayout,
+        batch_size: int,
+        engine: Engine,
+        random: Callable[..., np.random.Generator],
+    ) -> None:
+        self._algorithm, self._sampler, self._step = algorithm, sampler, step
+        self._layout = layout
+        self._batch_size, self._engine, self._random = batch_size, engine, random
+        self._select = engine.fuse(sampler.select) if sampler.computes else sampler.select
+
+    def train(
+        self,
+        state: State,
+        data: Data,
+        extent: Extent,
+        phase: Phase,
+        span: tuple[int, int],
+        on_block: OnBlock,
+    ) -> State:
+        """Updates [start, stop) of `span`, then the algorithm's improvement steps.
+
+        Args:
+            on_block: called after each block of updates, and after each improvement, with the
+                state, how many of both are done, and the block's mean metrics by name.
+
+        Raises:
+            UserError: a metric is not finite: training has diverged.
+        """
+        names = (*self._algorithm.metric_names, *self._sampler.metric_names)
+
+        def on_updates(state: State, done: int, metrics: list[float]) -> None:
+            for name, value in zip(names, metrics, strict=True):
+                if not math.isfinite(value):
+                    raise UserError(
+                        f"{phase.purpose} training diverged before update {done:,}: {name} is"
+                        f" {value}; lower the learning rates (algorithm.*) or look at the data"
+                    )
+            on_block(state, done, dict(zip(names, metrics, strict=True)))
+
+        update = self._engine.record(self._update(data))
+        noise = self._algorithm.noise(self._batch_size)
+        draws = self._draws(noise, extent, phase, "")
+        state = train(state, update, draws, self._engine.device, span, BLOCK, on_updates)
+        if isinstance(self._algorithm, Improving):
+            state = self._improve(self._algorithm, state, data, extent, phase, span[1], on_block)
+        return state
+
+    def _improve(
+        self,
+        algorithm: Improving,
+        state: State,
+        data: Data,
+        extent: Extent,
+        phase: Phase,
+        updates: int,
+        on_block: OnBlock,
+    ) -> State:
+        def improve(state: State, draws: Draws) -> tuple[State, Tensor]:
+            rows, _, _, state = self._choose(data, state, draws)
+            return algorithm.improve(self._engine.fuse, state, unpack(rows, self._layout), draws)
+
+        def on_improvement(state: State, done: int, metrics: list[float]) -> None:
+            names = algorithm.improvement_metric_names
+            on_block(state, updates + done, dict(zip(names, metrics, strict=True)))
+
+        draws = self._draws(
+            algorithm.improvement_noise(self._batch_size), extent, phase, "-improvement"
+        )
+        span = (0, algorithm.improvements)
+        with torch.no_grad():
+            state = algorithm.begin_improvement(state)
+            return train(state, improve, draws, self._engine.device, span, 1, on_improvement)
+
+    def _update(self, data: Data) -> Update:
+        """One update on rows that the sampler chooses; the choice's metrics join the update's."""
+
+        def update(state: State, draws: Draws) -> tuple[State, Tensor]:
+            rows, imitated, more, state = self._choose(data, state, draws)
+            # Without the sampler's entries: the step is compiled once, whatever the sampler.
+            own = {name: x for name, x in state.items() if not name.startswith("sampler_")}
+            new, metrics = self._step(own, rows, imitated, draws)
+            return {**state, **new}, metrics if more is None else torch.cat((metrics, more))
+
+        return update
+
+    def _choose(
+        self, data: Data, state: State, draws: Draws
+    ) -> tuple[Tensor, Tensor, Tensor | None, State]:
+        gathered = self._sampler.gather(state, data, draws)
+        chosen = self._select(state, gathered, draws)
+        rows = data.rows.index_select(0, chosen.rows)
+        same = chosen.imitated is chosen.rows
+        imitated = rows if same else data.rows.index_select(0, chosen.imitated)
+        return rows, imitated, chosen.metrics, {**state, **chosen.changed}
+
+    def _draws(
+        self, noise: Mapping[str, Draw], extent: Extent, phase: Phase, kind: str
+    ) -> DrawBlock:
+        wanted = {**noise, **self._sampler.noise()}
+        purpose, deployment = phase.purpose + kind, phase.deployment
+
+        def draw_block(block: int, count: int) -> Mapping[str, NDArray[np.generic]]:
+            key = (phase.minibatch_key, deployment, block)
+            minibatches = self._random(f"{purpose}-minibatches", *key)
+            indices = self._sampler.draw(minibatches, count, extent)
+            noise = self._random(f"{purpose}-noise", deployment, block)
+            return {**indices, **draw(noise, wanted, count)}
+
+        return draw_block
+
+
+def fused_update(engine: Engine, algorithm: Algorithm, layout: RowLayout) -> Step:
+    """The algorithm's update on packed rows, as the engine runs it: equal ones are compiled once,
+    whatever samples for them.
+    """
+    return engine.fuse(
+        lambda state, rows, imitated, draws: algorithm.update(
+            state, unpack(rows, layout), unpack(imitated, layout), draws
+        )
+    )
+
+
+def improvements(algorithm: Algorithm) -> int:
+    """Improvement steps that `algorithm` makes after a phase's updates."""
+    return algorithm.improvements if isinstance(algorithm, Improving) else 0

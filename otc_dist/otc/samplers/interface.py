@@ -1,0 +1,137 @@
+"""Sampling strategies: which transitions of B_k an update sees (Algorithm 1, lines 10 to 14).
+
+A sampler draws row numbers outside, for many updates at once (`draw`), gathers what it must
+look at (`gather`), and chooses by a pure function of it (`select`), which the engine runs.
+Gathering stays apart because a compiler that fuses it into the distance computation reads the
+buffer at random once for every pair: ten times slower. What depends on a deployment only is
+computed once, before its updates (`begin`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.state import State
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from otc_dist.description import SamplingSection
+    from otc_dist.otc.data import Data
+    from otc_dist.otc.distances.interface import Setting
+    from otc_dist.steps.engine import Engine
+
+Random = Callable[..., np.random.Generator]  # a stream for a key
+
+
+class Extent(NamedTuple):
+    """Which rows are what: B_0 is [0, offline), D_k is [newest, size), B_k is [0, size)."""
+
+    offline: int
+    newest: int
+    size: int
+
+
+class Held(NamedTuple):
+    """What one agent holds when D_k has been merged, before the updates."""
+
+    state: State  # the algorithm's
+    data: Data
+    extent: Extent
+    engine: Engine
+    random: Random  # keyed by this deployment as well
+    kept: Mapping[str, float] = MappingProxyType(
+        {}
+    )  # `Begun.kept` of the deployment before, if any
+
+
+class Begun(NamedTuple):
+    """What a sampler made of a deployment's data before the updates."""
+
+    data: Data
+    changed: Mapping[str, Tensor] = MappingProxyType({})  # entries of the state, if it learns
+    measured: Mapping[str, float] = MappingProxyType({})  # for people
+    # Numbers to find again at the next deployment, also after a restart: alpha and similarity.
+    kept: Mapping[str, float] = MappingProxyType({})
+
+
+class Selection(NamedTuple):
+    """What one update is given, and what choosing it changed."""
+
+    rows: Tensor  # chosen row numbers (batch,), for values
+    imitated: Tensor  # row numbers (batch,) for what imitates the data
+    changed: Mapping[str, Tensor] = MappingProxyType({})  # entries of the state, if it learns
+    metrics: Tensor | None = None  # the values of `Sampler.metric_names`; None: there are none
+
+
+Indices = dict[str, NDArray[np.generic]]
+Gathered = dict[str, "Tensor"]
+
+
+class Sampler:
+    """A sampling strategy. What one learns lies in the brain's state, under keys `sampler_*`.
+
+    What it does not say is as of one that learns nothing and looks at no row that it draws.
+
+    Attributes:
+        Section: its settings; of those that a description can choose.
+    """
+
+    Section: ClassVar[type[SamplingSection]]
+
+    @classmethod
+    def create(cls, settings: Any, setting: Setting, capacity: int) -> Sampler:
+        """The strategy of one agent, for a replay buffer of `capacity` rows.
+
+        Args:
+            settings: of the strategy's own `Section`.
+        """
+        return cls(settings, setting.description.algorithm.batch_size)  # type: ignore[call-arg]
+
+    @property
+    def computes(self) -> bool:
+        """Whether `select` computes so much that compiling it pays."""
+        return False
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Names of the values in `Selection.metrics`."""
+        return ()
+
+    @property
+    def kept(self) -> Mapping[str, float]:
+        """What stands for `Begun.kept` before the first deployment."""
+        return {}
+
+    def noise(self) -> Mapping[str, Draw]:
+        """The random arrays that one `select` needs beside its indices."""
+        return {}
+
+    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        """Row numbers, or what they are chosen by, for `updates` updates: each (updates, n)."""
+        raise NotImplementedError
+
+    def begin(self, held: Held) -> Begun:
+        """Prepare for the updates after a deployment, whose data have just been merged."""
+        return Begun(held.data)
+
+    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
+        """What `select` looks at of the rows that one update drew, and of what `begin` prepared."""
+        return {}
+
+    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+        """The rows of one update, from its share of the draws."""
+        raise NotImplementedError
+
+    def weights(self, state: State, size: int) -> Tensor:
+        """How likely each of the rows 0 .. size - 1 is drawn, by what was learned so far (size,).
+
+        Asked of those with a `SamplingSection.row`.
+        """
+        raise NotImplementedError

@@ -1,0 +1,104 @@
+"""Samplers made of others: online data beside what is chosen, and a plain sample to imitate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from otc_dist.otc.samplers.interface import (
+    Begun,
+    Extent,
+    Gathered,
+    Held,
+    Indices,
+    Sampler,
+    Selection,
+)
+from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.state import State
+from otc_dist.system.lazy import torch
+
+if TYPE_CHECKING:
+    from otc_dist.otc.data import Data
+
+
+@dataclass(frozen=True)
+class Around(Sampler):
+    """Another sampler, as it is. Those below change what they are named for."""
+
+    inner: Sampler
+
+    @property
+    def computes(self) -> bool:
+        return self.inner.computes
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        return self.inner.metric_names
+
+    @property
+    def kept(self) -> Mapping[str, float]:
+        return self.inner.kept
+
+    def noise(self) -> Mapping[str, Draw]:
+        return self.inner.noise()
+
+    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        return self.inner.draw(random, updates, extent)
+
+    def begin(self, held: Held) -> Begun:
+        return self.inner.begin(held)
+
+    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
+        return self.inner.gather(state, data, draws)
+
+    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+        return self.inner.select(state, gathered, draws)
+
+
+@dataclass(frozen=True)
+class WithOnline(Around):
+    """`count` transitions of D_1 .. D_k in every batch, beside those of the inner sampler: for
+    half of a batch, RLPD's symmetric sampling (Ball et al., ICML 2023).
+    """
+
+    count: int
+
+    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        chosen = self.inner.draw(random, updates, extent)
+        online = random.integers(extent.offline, extent.size, (updates, self.count))
+        return {**chosen, "online": online}
+
+    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+        chosen, online = self.inner.select(state, gathered, draws), draws["online"]
+        return chosen._replace(
+            rows=torch.cat((chosen.rows, online)), imitated=torch.cat((chosen.imitated, online))
+        )
+
+
+@dataclass(frozen=True)
+class ImitatingAll(Around):
+    """What imitates the data is given a uniform sample of B_k instead of what is chosen."""
+
+    batch_size: int
+
+    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        chosen = self.inner.draw(random, updates, extent)
+        return {**chosen, "plain": random.integers(0, extent.size, (updates, self.batch_size))}
+
+    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+        return self.inner.select(state, gathered, draws)._replace(imitated=draws["plain"])
+
+
+def with_online(choose: Callable[[int], Sampler], share: float, batch_size: int) -> Sampler:
+    """A sampler of whole batches, of which a share is online data.
+
+    Args:
+        choose: makes what chooses so many transitions, the rest of a batch.
+    """
+    online = round(share * batch_size)
+    chosen = choose(batch_size - online)
+    return WithOnline(chosen, online) if online else chosen

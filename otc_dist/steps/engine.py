@@ -1,0 +1,201 @@
+"""Runs any pure step function: compiled, in a CUDA graph, or eagerly.
+
+A step maps tensors to tensors and touches nothing else, so where and how it runs is decided
+here and nowhere else. Backends agree to rounding only, so a run's engine is part of its
+description.
+"""
+
+import os
+import re
+import shutil
+from collections.abc import Callable, Hashable, Sequence
+from pathlib import Path
+from types import FunctionType, MethodType
+from typing import Any, Literal, cast
+
+import torch
+from torch import Tensor
+
+from otc_dist.description import EngineName
+from otc_dist.steps.draws import Draws
+from otc_dist.steps.state import P, State, T
+from otc_dist.system.cache import compiled_root
+from otc_dist.terminal.errors import UserError
+
+Update = Callable[[State, Draws], tuple[State, Tensor]]
+Resolved = Literal["compiled", "cuda-graph", "eager"]
+VARIANTS = 256  # of one function in a process: agents differ in sizes, arms in samplers
+# torch.cond's branches are part of the cache's key, but torch has not declared it cacheable.
+CACHEABLE = {"torch.ops.higher_order.cond": torch.__version__}
+COMPILE_WORTHWHILE = 10_000  # updates: compiling takes about a minute, an update saves 5 ms
+
+
+def resolve(name: EngineName, updates: int) -> Resolved:
+    """Turn `auto` into the engine for this machine and this many updates in all.
+
+    Raises:
+        UserError: an engine that this machine cannot run was asked for by name.
+    """
+    cuda = torch.cuda.is_available()
+    compiler = _compiler()
+    if name == "cuda-graph" and not cuda:
+        raise UserError("engine.name = 'cuda-graph' needs a CUDA device; use 'auto' or 'compiled'")
+    if name == "compiled" and not compiler:
+        raise UserError("engine.name = 'compiled' needs g++ or clang++; install one or use 'eager'")
+    if name != "auto":
+        return name
+    if cuda:
+        return "cuda-graph"
+    return "compiled" if compiler and updates >= COMPILE_WORTHWHILE else "eager"
+
+
+def _compiler() -> str | None:
+    """The path of a C++ compiler."""
+    return shutil.which("g++") or shutil.which("clang++")
+
+
+class Engine:
+    """How and where pure functions of tensors run.
+
+    `fuse` compiles a function; `record` turns a whole update, made of fused functions and
+    gathers, into one launch where that pays (a CUDA graph).
+    """
+
+    def __init__(self, name: Resolved) -> None:
+        self.name = name
+        self.device = torch.device("cuda" if name == "cuda-graph" else "cpu")
+        # Sums split over threads round otherwise, and a brain's networks are too small to gain.
+        torch.set_num_threads(1)
+        # Compiled code outlives the process: other learners and later runs load it.
+        if name != "eager" and "TORCHINDUCTOR_CACHE_DIR" not in os.environ:
+            os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(compiled_root())
+
+    def fuse(self, function: Callable[P, T]) -> Callable[P, T]:
+        """`function` with the same results up to rounding; argument shapes must not vary.
+
+        Functions with the same code that hold equal values are compiled once in a process.
+        """
+        if self.name == "eager":
+            return torch.no_grad()(function)
+        anatomy = _Anatomy(function)
+        key = (self.name, *anatomy.identity)
+        if key not in _fused:
+            _fused[key] = self._compile(anatomy)
+        return cast(Callable[P, T], _fused[key])
+
+    def _compile(self, anatomy: "_Anatomy") -> Callable[..., Any]:
+        # The default of 8 ends a process that holds more brains than that with an error. Not set
+        # where nothing is compiled: torch's compiler takes a second to import, another to clear up.
+        torch._dynamo.config.recompile_limit = VARIANTS
+        options: dict[str, Any] = {
+            "unsafe_marked_cacheable_functions": CACHEABLE,
+            "guard_filter_fn": anatomy.guards,
+        }
+        if self.device.type == "cpu":
+            options["cpp_wrapper"] = True
+            _keep_headers_private()
+            if (compiler := _compiler()) is not None:
+                from otc_dist.steps import (
+                    matrix_products,  # torch's compiler takes a second to import
+                )
+
+                options |= matrix_products.options(compiler)
+        return torch.no_grad()(
+            torch.compile(anatomy.copy(), fullgraph=True, dynamic=False, options=options)
+        )
+
+    def record(self, update: Update) -> Update:
+        """`update` itself, or on a GPU its recording, replayed at every later call."""
+        return _CudaGraph(update) if self.name == "cuda-graph" else update
+
+
+def _keep_headers_private() -> None:
+    """torch keeps the headers that it compiles first in a folder of a known name under /tmp, which
+    anybody may make before us: they go where the rest of the compiled code is.
+    """
+    from torch._inductor import codecache  # it takes a second to import
+
+    headers = Path(os.environ["TORCHINDUCTOR_CACHE_DIR"], "precompiled_headers")
+    codecache._HEADER_DIR = str(headers)
+    codecache._HEADER_LOCK_DIR = str(headers / "locks")
+
+
+# Compiled functions by what makes them. Torch itself would compare all that a function looks at
+# before every call, which takes a fifth of an update's time.
+_fused: dict[Hashable, Callable[..., Any]] = {}
+
+
+class _Anatomy:
+    """What a function consists of: its code, and the values that it holds.
+
+    Attributes:
+        identity: equal for functions that do the same. The values must be hashable.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._owner: tuple[object, ...] = ()
+        if isinstance(function, MethodType):
+            self._owner, function = (function.__self__,), function.__func__
+        assert isinstance(function, FunctionType)
+        self._function, code = function, function.__code__
+        held = (cell.cell_contents for cell in function.__closure__ or ())
+        bound = (*self._owner, *(function.__defaults__ or ()), *held)
+        self.identity: tuple[Hashable, ...] = (function.__module__, code, *bound)
+        self._arguments = set(code.co_varnames[len(self._owner) : code.co_argcount])
+
+    def copy(self) -> Callable[..., Any]:
+        """The same function, whose code torch has never seen."""
+        plain = self._function
+        copy = FunctionType(
+            plain.__code__.replace(), plain.__globals__, None, plain.__defaults__, plain.__closure__
+        )
+        return MethodType(copy, *self._owner) if self._owner else copy
+
+    def guards(self, guards: Sequence[Any]) -> list[bool]:
+        """Which of torch's conditions on compiled code to check: those on the arguments."""
+        roots = [re.match(r"\w*", guard.name) for guard in guards]
+        return [root is not None and root[0] in {"", *self._arguments} for root in roots]
+
+
+class _CudaGraph:
+    """An update recorded once as a CUDA graph over static memory.
+
+    The state lives in that memory from the first call on: the state that a call returns is
+    overwritten by the next.
+    """
+
+    WARM_UP = 3  # calls before recording, as CUDA graphs require: compilation, lazy handles
+
+    def __init__(self, update: Update) -> None:
+        self._update = update
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._state: State = {}
+        self._draws: dict[str, Tensor] = {}
+        self._metrics = torch.empty(0)
+
+    def __call__(self, state: State, draws: Draws) -> tuple[State, Tensor]:
+        if self._graph is None:
+            self._record(state, draws)
+        for name, tensor in draws.items():
+            self._draws[name].copy_(tensor)
+        for name, tensor in state.items():
+            if tensor is not self._state[name]:
+                self._state[name].copy_(tensor)
+        assert self._graph is not None
+        self._graph.replay()
+        return self._state, self._metrics
+
+    def _record(self, state: State, draws: Draws) -> None:
+        self._state = {name: tensor.clone() for name, tensor in state.items()}
+        self._draws = {name: tensor.clone() for name, tensor in draws.items()}
+        stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+        stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(stream):
+            for _ in range(self.WARM_UP):
+                self._update(self._state, self._draws)
+        torch.cuda.current_stream().wait_stream(stream)
+        self._graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self._graph):
+            new, self._metrics = self._update(self._state, self._draws)
+            for name, tensor in new.items():
+                self._state[name].copy_(tensor)

@@ -1,0 +1,124 @@
+"""Matrix products by the widest vectors that the processor has, in code that torch compiles.
+
+torch's compiler calls MKL for float32 products, which leaves half of the vector width of AMD's
+processors unused, and is slow where matrices are small or a product has few columns. torch brings
+oneDNN's kernel too, which has neither fault but no operation of its own: product.cpp makes it one.
+Results differ by rounding.
+"""
+
+import ctypes
+import functools
+import hashlib
+import logging
+import os
+import subprocess
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch._inductor.config import aot_inductor
+from torch._inductor.custom_graph_pass import CustomGraphPass, get_hash_for_files
+from torch.fx import Graph
+
+from otc_dist.system.cache import compiled_root
+
+SOURCE = Path(__file__).with_name("product.cpp")
+TORCH = Path(torch.__file__).parent
+C_FUNCTION = (
+    "AOTITorchError aoti_torch_cpu_own_product("
+    "AtenTensorHandle, AtenTensorHandle, AtenTensorHandle*)"
+)
+aten = torch.ops.aten
+log = logging.getLogger(__name__)
+
+
+@torch.library.custom_op("otc_dist::own_product", mutates_args=())
+def product(left: Tensor, right: Tensor) -> Tensor:
+    """(..., m, k) times (..., k, n)."""
+    return left @ right  # for those who run a graph; compiled code calls the C function
+
+
+@product.register_fake
+def _(left: Tensor, right: Tensor) -> Tensor:
+    return left.new_empty((*left.shape[:-1], right.shape[-1]))
+
+
+class Products(CustomGraphPass):
+    """A pass of torch's compiler over one graph: float32 products are computed by `product`."""
+
+    def uuid(self) -> bytes:
+        """Compiled code is kept for as long as these files are the same."""
+        return get_hash_for_files((__file__, str(SOURCE)))
+
+    def __call__(self, graph: Graph) -> None:
+        for operation in (aten.mm.default, aten.bmm.default):
+            for node in graph.find_nodes(op="call_function", target=operation):
+                if node.meta["val"].dtype == torch.float32:
+                    node.target = torch.ops.otc_dist.own_product.default
+
+
+def options(compiler: str) -> dict[str, Any]:
+    """What makes `torch.compile` use the kernel; nothing where it is not to be had.
+
+    Args:
+        compiler: a C++ compiler's path.
+    """
+    if not _loaded(compiler):
+        return {}
+    aot_inductor.custom_ops_to_c_shims = _Shims()
+    return {"post_grad_custom_pre_pass": Products()}
+
+
+class _Shims(dict[Any, list[str]]):
+    """The C function of `product`, as torch's compiler asks for it.
+
+    Its cache pickles all settings, and an operation cannot be pickled: this class can.
+    """
+
+    def __init__(self) -> None:
+        super().__init__({torch.ops.otc_dist.own_product.default: [C_FUNCTION]})
+
+    def __reduce__(self) -> tuple[type["_Shims"], tuple[()]]:
+        return type(self), ()
+
+
+@functools.cache
+def _loaded(compiler: str) -> bool:
+    """Whether compiled code can call the kernel from now on; one line is logged if not."""
+    try:
+        library = ctypes.CDLL(str(_built(compiler)), mode=os.RTLD_GLOBAL)
+    except (OSError, subprocess.CalledProcessError) as error:
+        said = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
+        log.warning(
+            "matrix products are left to torch: %s does not fit torch %s (%s)",
+            SOURCE.name,
+            torch.__version__,
+            said.strip().partition("\n")[0],
+        )
+        return False
+    library.otc_dist_can_multiply.restype = ctypes.c_bool
+    able: bool = library.otc_dist_can_multiply()
+    if not able:
+        log.info("matrix products are left to torch: this processor lacks the kernel")
+    return able
+
+
+def _built(compiler: str) -> Path:
+    """The library, compiled at most once for a source, a torch and a compiler.
+
+    Raises:
+        OSError, subprocess.CalledProcessError: it cannot be made.
+    """
+    made_of = f"{SOURCE.read_text()}\0{torch.__version__}\0{compiler}"
+    library = compiled_root() / f"product-{hashlib.blake2b(made_of.encode()).hexdigest()[:16]}.so"
+    if not library.exists():
+        with TemporaryDirectory(dir=library.parent) as folder:
+            new = Path(folder, library.name)
+            command = [compiler, "-O3", "-shared", "-fPIC", "-std=c++17", str(SOURCE)]
+            command += ["-o", str(new), f"-I{TORCH / 'include'}", f"-L{TORCH / 'lib'}"]
+            command += ["-ltorch_cpu", "-lc10"]
+            subprocess.run(command, check=True, capture_output=True, text=True)
+            new.replace(library)
+    return library

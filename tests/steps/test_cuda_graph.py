@@ -1,0 +1,92 @@
+"""Every update can be recorded as a CUDA graph, as far as that shows without a GPU.
+
+The meta device stands for the GPU. Its tensors have shapes and no numbers, so an operation that
+would stop a GPU to read one fails.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves, tree_map_only
+
+from otc_dist.learner.learner import Learner
+from otc_dist.learner.trainer import Phase
+from otc_dist.otc.distances.embedding import Embedder
+from otc_dist.steps.draws import to_tensors
+
+from ..algorithms import test_conformance as conformance
+from ..brains import ARMS
+
+CPU, GPU = torch.device("cpu"), torch.device("meta")
+HAS_Q = {name: section.has_q for name, section in conformance.SECTIONS.items()}
+PAIRS = {(name, "otc-value" if has_q else "otc-embedding") for name, has_q in HAS_Q.items()}
+PAIRS |= {("bcq", arm) for arm in ARMS}
+
+
+class Recording(TorchDispatchMode):
+    """Refuses tensors that lie elsewhere: a graph would read the same old ones at each replay."""
+
+    def __torch_dispatch__(
+        self,
+        func: Any,
+        types: Any,
+        args: Sequence[Any] = (),
+        kwargs: Mapping[str, Any] | None = None,
+    ) -> Any:
+        found = func(*args, **(kwargs or {}))
+        for leaf in tree_leaves((args, kwargs, found)):
+            assert not isinstance(leaf, Tensor) or leaf.device == GPU, func
+        return found
+
+
+def on_gpu(tensors: Any) -> Any:
+    return tree_map_only(Tensor, lambda tensor: tensor.to(GPU), tensors)
+
+
+def record(update: Callable[[], tuple[Mapping[str, Tensor], Tensor]]) -> Mapping[str, Tensor]:
+    with torch.no_grad(), Recording():
+        state, _ = update()
+    return state
+
+
+def tuned(name: str, *assignments: str) -> Learner:
+    learner = conformance.pretrained(name, *assignments)
+    learner.tune(1, conformance.online(name, 1), conformance.silent)
+    return learner
+
+
+@pytest.mark.parametrize(("name", "arm"), sorted(PAIRS))
+def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
+    learner = tuned(name, *ARMS[arm])
+    trainer, experience = learner._online, learner._experience
+    noise = learner._algorithm.noise(conformance.BATCH)
+    draw_block = trainer._draws(noise, experience.extent, Phase("tuning", 1, 0), "")
+    arrays = to_tensors(draw_block(0, 1), CPU)
+    draws = on_gpu({key: array[0] for key, array in arrays.items()})
+    state, update = on_gpu(learner._state), trainer._update(on_gpu(learner._begin(1).data))
+    new = record(lambda: update(state, draws))
+    # The next replay reads what this one has written.
+    assert {key: x.shape for key, x in new.items()} == {key: x.shape for key, x in state.items()}
+    assert {key: x.dtype for key, x in new.items()} == {key: x.dtype for key, x in state.items()}
+
+
+def test_an_update_of_the_embedding_stays_on_the_gpu() -> None:
+    learner, trial = tuned("bcq", *ARMS["otc-embedding"]), conformance.Trial("bcq")
+    embedder = learner._fits.own
+    assert isinstance(embedder, Embedder) and embedder.state
+    embedding = embedder._embedding
+    state, batch = on_gpu(embedder.state), on_gpu(trial.batch)
+    draws = on_gpu(trial.draws(embedding.noise(conformance.BATCH)))
+    record(lambda: embedding.update(state, batch, draws))
+
+
+def test_what_a_graph_cannot_hold_is_noticed() -> None:
+    number = torch.ones((), device=GPU)
+    with pytest.raises(RuntimeError, match="meta"):
+        record(lambda: ({}, number if number > 0 else -number))
+    with pytest.raises(AssertionError):
+        record(lambda: ({}, number + torch.tensor(1.0)))
