@@ -1,4 +1,4 @@
-"""`launch NAME`: from the command line to a run folder that is ready to be conducted."""
+"""`launch NAME`: from the command line to a run folder that is ready to run."""
 
 import argparse
 import sys
@@ -22,7 +22,7 @@ from . import hosts
 from .extend import extend
 from .origin import Origin
 from .resolve import resolve
-from .run_loop import conduct
+from .run_loop import run_plan
 
 INSECURE = (
     "WARNING: --insecure: nothing on the network is encrypted or checked; whoever reaches the"
@@ -115,7 +115,7 @@ def _start(arguments: argparse.Namespace) -> int:
     if preflight.goes_on(planned):
         with run_record.locked(planned.folder):
             record = run_record.rejoin(planned.folder, description, place)
-            return conduct(plan.make(description, planned.folder, record.run, place), record)
+            return run_plan(plan.make(description, planned.folder, record.run, place), record)
     folder = new_folder.make_folder(out, planned.disk_bytes)
     with run_record.locked(folder):
         try:
@@ -126,7 +126,7 @@ def _start(arguments: argparse.Namespace) -> int:
         except (UserError, OSError):
             new_folder.take_away(folder.root, origin=True)
             raise
-        return conduct(plan.make(description, folder, record.run, place), record)
+        return run_plan(plan.make(description, folder, record.run, place), record)
 
 
 def _on_hosts(arguments: argparse.Namespace, team: TeamSpec, router: bool) -> int:
@@ -149,7 +149,7 @@ def _resume(arguments: argparse.Namespace) -> int:
         if arguments.deployments is not None:
             extend(folder, arguments.deployments)
         record, description = run_record.reopen(folder)
-        return conduct(plan.make(description, folder, record.run, record.place), record)
+        return run_plan(plan.make(description, folder, record.run, record.place), record)
 
 
 def command_line() -> Parser:

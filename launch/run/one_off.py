@@ -1,7 +1,7 @@
 """What a run does before and after its processes, command by command: data, compiling, report.
 
 They have no place on the bus, so they are judged by what they use: one that is killed, or stands
-still, is started again like a process of the crew.
+still, is started again like a process of the run.
 """
 
 import itertools

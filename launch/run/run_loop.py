@@ -1,4 +1,4 @@
-"""Conducts a run: data, compilation, processes, live view, report, and a clear end of any kind."""
+"""Runs a plan: data, compilation, processes, live view, report, and a clear end of any kind."""
 
 import queue
 import shlex
@@ -27,11 +27,11 @@ from ..plan.plan import Plan
 from ..plan.run_record import RunRecord
 from ..show.approve import waiting_lines
 from ..show.board import TRAINING, Board
-from ..show.process_states import VitalSigns
-from ..show.summary import show_closing
+from ..show.process_states import SupervisionFile
+from ..show.summary import show_summary
 from ..show.view import View, open_view
 from ..supervise.observer import Sign, Waiting, nobody_of_run, observing
-from ..supervise.processes import MISTAKE, Crew, DiedError
+from ..supervise.processes import MISTAKE, DiedError, RunProcesses
 from ..supervise.signals import Signals
 from ..supervise.supervisor import Supervisor
 from .one_off import StoppedError, run_one_off
@@ -40,7 +40,7 @@ REFRESH = 0.5  # seconds between two looks at the statuses
 FAREWELL = 30.0  # seconds that the learners may take to end after the host has
 
 
-def conduct(plan: Plan, record: RunRecord) -> int:
+def run_plan(plan: Plan, record: RunRecord) -> int:
     """Run `plan` from wherever its folder stands to its end. Returns the exit status.
 
     0: finished; 1: a process died; 2: a process met a mistake that the user can mend;
@@ -107,7 +107,7 @@ def _gone(plan: Plan, record: RunRecord) -> bool:
 def _close(plan: Plan, title: str) -> None:
     """Print the last lines of a run that is finished, whatever becomes of that."""
     try:
-        show_closing(plan.folder)
+        show_summary(plan.folder)
     except Exception as error:  # what they tell is in the report as well
         print(f"{title}: finished ({type(error).__name__}: {error}); report: {plan.folder.report}")
 
@@ -151,8 +151,8 @@ def _do(
 
 def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, view: View) -> None:
     """Start all processes, and again those that die, and show them until all have ended well."""
-    crew = Crew(plan, supervisor)
-    board = Board(plan.watched, Remaining(plan.parts), crew.health.lives)
+    processes = RunProcesses(plan, supervisor)
+    board = Board(plan.watched, Remaining(plan.parts), processes.health.lives)
     signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
     over: float | None = None  # when the host ended
     known = set[int]()  # processes whose libraries are noted
@@ -163,9 +163,12 @@ def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, v
         if not isinstance(sign, Status):  # these come often, and can wait
             signals.wake()
 
-    with observing(plan, ledger.record.run, notice), VitalSigns(plan.folder) as vital_signs:
-        while crew.at_work:
-            crew.start_due()
+    with (
+        observing(plan, ledger.record.run, notice),
+        SupervisionFile(plan.folder) as supervision_file,
+    ):
+        while processes.at_work:
+            processes.start_due()
             signals.wait(REFRESH)
             while not signs.empty():
                 sign = signs.get()
@@ -173,24 +176,24 @@ def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, v
                     if not board.over:  # else nobody is awaited any more
                         view.say(sign.line)
                     continue
-                crew.take(sign)
+                processes.take(sign)
                 if isinstance(sign, Status):
                     board.take(sign, time.monotonic())
-                    life = crew.health.lives.get(sign.process)
+                    life = processes.health.lives.get(sign.process)
                     if life and life.pid not in known and sign.phase in TRAINING:
                         known.add(life.pid)
                         ledger.note_libraries(libraries(life.pid))
             if signals.stop:
                 raise StoppedError
-            finished = crew.look()
-            board.events += crew.drain_events()
+            finished = processes.look()
+            board.events += processes.drain_events()
             if board.newest.get(HOST, Status(HOST)).phase == "approval":
                 # Not by the phase between two: a short deployment may be over before it is seen.
                 lines = waiting_lines(plan.folder)
                 board.events += lines if lines != asked else []
                 asked = lines
             view.show(board)
-            vital_signs.write(board)
+            supervision_file.write(board)
             if HOST in finished and over is None:
                 over = time.monotonic()
             if over is not None and time.monotonic() > over + FAREWELL:

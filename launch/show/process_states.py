@@ -1,4 +1,4 @@
-"""supervision.json: how each process of a run is, for whoever asks while it runs."""
+"""supervision.json: how each process of a run is, for anyone who asks while it runs."""
 
 import json
 import os
@@ -57,7 +57,7 @@ class Supervision:
             return None
 
 
-class VitalSigns:
+class SupervisionFile:
     """Writes supervision.json while a run goes. A full disk stops the writing, never the run."""
 
     def __init__(self, folder: RunFolder) -> None:

@@ -13,16 +13,16 @@ from otc_dist.terminal.printable import printable, say
 _STYLES = {"good": "bold green", "bad": "bold red"}  # by the verdict's tone
 
 
-def show_closing(folder: RunFolder) -> None:
+def show_summary(folder: RunFolder) -> None:
     """Print the lines; on a terminal the first is coloured by whether it is good or bad."""
     tone = _read(folder)["verdict"]["tone"]
-    first, *others = closing_lines(folder)
+    first, *others = summary_lines(folder)
     console = Console(force_terminal=sys.stdout.isatty(), highlight=False, soft_wrap=True)
     console.print(printable(first), style=_STYLES.get(tone, "bold"), markup=False)
     say(*others)
 
 
-def closing_lines(folder: RunFolder) -> Iterator[str]:
+def summary_lines(folder: RunFolder) -> Iterator[str]:
     """From results.json, which the report has just written."""
     results = _read(folder)
     label = f" ({results['label']})" if results["label"] else ""

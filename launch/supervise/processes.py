@@ -28,7 +28,7 @@ class DiedError(Exception):
         self.end, self.manner, self.restarts, self.told = end, manner, restarts, told
 
 
-class Crew:
+class RunProcesses:
     """Starts every process of `plan`, and again, after a while, those that die.
 
     Whatever dies goes on from what it had written, so a restart costs time and nothing else.

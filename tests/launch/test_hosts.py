@@ -199,13 +199,13 @@ def test_the_same_command_goes_on_with_a_part_of_a_run(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And may have moved to another address meanwhile."""
-    conducted: list[Plan] = []
+    planned: list[Plan] = []
 
-    def conduct(plan: Plan, record: RunRecord) -> int:
-        conducted.append(plan)
+    def run_plan(plan: Plan, record: RunRecord) -> int:
+        planned.append(plan)
         return 0
 
-    monkeypatch.setattr("otc_dist.launch.run.command.conduct", conduct)
+    monkeypatch.setattr("otc_dist.launch.run.command.run_plan", run_plan)
     out = ("--certs", "certs", "--out", "run")
     assert main([*RUN, *LEARNER, *out]) == 0
     before = RunRecord.read(RunFolder(folder / "run"))
@@ -223,7 +223,7 @@ def test_the_same_command_goes_on_with_a_part_of_a_run(
         "tls/192.0.2.7:7447",
     )
     assert main(["--resume", "run"]) == 0
-    assert conducted[2].processes == conducted[1].processes != conducted[0].processes
+    assert planned[2].processes == planned[1].processes != planned[0].processes
     for other in (["--agent", "agent_2"], ["--seed", "5"]):
         with pytest.raises(UserError, match="is of another run, or of another part"):
             main([*RUN, *LEARNER, *out, *other])

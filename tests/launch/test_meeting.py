@@ -91,16 +91,16 @@ def test_a_learner_says_at_once_for_whom_it_waits(
 @pytest.fixture
 def plan(folder: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> Plan:
     """Of a learner's launcher that has begun when nobody was there."""
-    conducted: list[Plan] = []
+    planned: list[Plan] = []
 
-    def conduct(plan: Plan, record: RunRecord) -> int:
-        conducted.append(plan)
+    def run_plan(plan: Plan, record: RunRecord) -> int:
+        planned.append(plan)
         return 0
 
-    monkeypatch.setattr("otc_dist.launch.run.command.conduct", conduct)
+    monkeypatch.setattr("otc_dist.launch.run.command.run_plan", run_plan)
     sized = ("--set", "dataset.transitions=100")
     assert main([*LEARNER, f"tls/127.0.0.1:{port}", "--certs", "certs", *sized]) == 0
-    return conducted[0]
+    return planned[0]
 
 
 def test_who_goes_on_is_refused_as_soon_and_nothing_is_changed(

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from otc_dist.launch.show.summary import closing_lines
+from otc_dist.launch.show.summary import summary_lines
 
 from .test_report import report
 
@@ -28,7 +28,7 @@ def test_the_best_deployed_policy_is_recommended_in_every_place(made) -> None:
     assert (kept["mean"], kept["error"], kept["greedy_return"]) == pytest.approx((6, 2, -10))
     assert kept["checkpoints"]["agent_1"] == "agents/agent_1/checkpoint_01.safetensors"
     assert "recommended: the policy of deployment 2, pi_1" in page.text
-    *_, line, _ = closing_lines(made.folder)
+    *_, line, _ = summary_lines(made.folder)
     assert line == (
         "recommended: the policy of deployment 2 (agents/*/checkpoint_01.safetensors), measured"
         " 6.0 ± 2.0 over the first 8 steps of 2 episodes"
@@ -50,7 +50,7 @@ def test_the_last_tuned_policy_is_recommended_though_it_was_not_deployed(made) -
     assert kept["greedy_return"] == 20
     assert "the last tuned policy, pi_3, which was not deployed" in page.text
     assert "recommended: the last tuned policy (agents/*/checkpoint_03.safetensors), which" in (
-        "\n".join(closing_lines(made.folder))
+        "\n".join(summary_lines(made.folder))
     )
 
 
@@ -77,7 +77,7 @@ def test_a_run_that_the_floor_ended_is_complete_and_says_why(made) -> None:
     assert results["recommended"]["deployment"] == 2
     assert "Deployments ended early:" in page.text and "not complete" not in page.text
     assert "no more deployments: deployment 3 measured 3, below deployment.floor = 3.500" in (
-        "\n".join(closing_lines(made.folder))
+        "\n".join(summary_lines(made.folder))
     )
 
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from otc_dist.launch.show.summary import closing_lines, show_closing
+from otc_dist.launch.show.summary import show_summary, summary_lines
 from otc_dist.report.numbers import MINUS, NOTHING, columns
 from otc_dist.report.run_data import read_run
 from otc_dist.report.verdict import verdict
@@ -24,7 +24,7 @@ def told(made: MadeRun) -> tuple[str, str]:
     assert ("class", f"verdict {found['tone']}") in page.attributes
     order = [page.text.index(found["sentence"]), page.text.index("Return over deployments")]
     assert order == sorted(order)
-    assert next(closing_lines(made.folder)) == found["sentence"]
+    assert next(summary_lines(made.folder)) == found["sentence"]
     return found["tone"], found["sentence"].replace(MINUS, "-")
 
 
@@ -168,9 +168,9 @@ def test_the_first_line_is_coloured_on_a_terminal_and_nowhere_else(
     shown = []
     for stream in (Terminal(), io.StringIO()):
         monkeypatch.setattr(sys, "stdout", stream)
-        show_closing(RunFolder(made.folder.root))
+        show_summary(RunFolder(made.folder.root))
         shown.append(stream.getvalue())
-    lines = "\n".join(closing_lines(made.folder)) + "\n"
+    lines = "\n".join(summary_lines(made.folder)) + "\n"
     assert shown[0].startswith(f"\x1b[1;{code}mTuning ") and shown[0].count("\x1b") == 2
     assert shown[1] == lines
 
