@@ -18,7 +18,7 @@ from otc_dist.deployment_log.header import LogHeader
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.launch.plan import run_record
-from otc_dist.launch.plan.role import Place
+from otc_dist.launch.plan.placement import Placement
 from otc_dist.learner import checkpoint
 from otc_dist.run.folder import RunFolder
 from otc_dist.terminal.errors import UserError
@@ -54,7 +54,7 @@ def test_every_version_of_a_format_is_in_the_table() -> None:
 
 
 def _run(folder: Path) -> None:
-    record = run_record.RunRecord("run", "digest", [], {"torch": "0.0"}, "now", place=Place())
+    record = run_record.RunRecord("run", "digest", [], {"torch": "0.0"}, "now", place=Placement())
     run_record.check_versions(record, RunFolder(folder))
 
 

@@ -20,7 +20,7 @@ from otc_dist.spec import TeamSpec
 
 from . import forecast
 from .deadline import within
-from .role import Place
+from .placement import Placement
 
 # Of bus.answer_deadline: who stands still so long is started again, before the others give it up.
 _STUCK = 0.75
@@ -46,7 +46,7 @@ class Plan:
     folder: RunFolder
     spec: TeamSpec
     processes: tuple[Process, ...]  # those of this machine
-    place: Place
+    placement: Placement
 
     @property
     def parts(self) -> list[forecast.Part]:
@@ -65,7 +65,7 @@ class Plan:
     @property
     def watched(self) -> tuple[str, ...]:
         """The agents whose statuses are looked at: who learns here, or all where the host is."""
-        return self.spec.names if self.place.role != "learner" else self.learners
+        return self.spec.names if self.placement.role != "learner" else self.learners
 
     @property
     def data_folder(self) -> Path | None:
@@ -77,11 +77,11 @@ class Plan:
     @property
     def preparations(self) -> dict[str, tuple[str, ...]]:
         """What is done before the processes start, each by a command: B_0, and compiled code."""
-        if self.place.role == "host":
+        if self.placement.role == "host":
             return {}
         dataset, module = self.description.dataset, (sys.executable, "-m")
         make = (*module, "otc_dist.datasets", "make", dataset.name)
-        own = (self.place.agent,) if self.place.agent else ()
+        own = (self.placement.agent,) if self.placement.agent else ()
         steps: dict[str, tuple[str, ...]] = {
             "data": (
                 *(*make, "--transitions", str(dataset.transitions)),
@@ -95,7 +95,7 @@ class Plan:
     @property
     def conclusions(self) -> dict[str, tuple[str, ...]]:
         """What is done when the processes have ended, each by a command: the report."""
-        if self.place.role == "learner":
+        if self.placement.role == "learner":
             return {}
         return {"report": (sys.executable, "-m", "otc_dist.report", str(self.folder.root))}
 
@@ -188,7 +188,7 @@ def team_of(description: Description) -> TeamSpec:
         return registry.team_spec(description.env.id)
 
 
-def make(description: Description, folder: RunFolder, run: str, place: Place) -> Plan:
+def make(description: Description, folder: RunFolder, run: str, placement: Placement) -> Plan:
     """The plan of a resolved description, `run` being its name on the bus.
 
     Raises:
@@ -203,6 +203,8 @@ def make(description: Description, folder: RunFolder, run: str, place: Place) ->
         whose = () if host else ("--agent", name)
         command = (sys.executable, "-m", module, "--run", str(folder.root), *whose)
         uses = keys.host_uses(spec.names) if host else keys.learner_uses(name)
-        return Process(name, (*command, *place.flags(host)), uses)
+        return Process(name, (*command, *placement.flags(host)), uses)
 
-    return Plan(description, folder, spec, tuple(map(process, place.processes(spec))), place)
+    return Plan(
+        description, folder, spec, tuple(map(process, placement.processes(spec))), placement
+    )

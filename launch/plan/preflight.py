@@ -7,8 +7,8 @@ from otc_dist.description import Description
 
 from . import new_folder, run_record
 from .keep import check_rewards
+from .placement import Placement
 from .plan import Plan
-from .role import Place
 
 
 def check(plan: Plan, out: Path) -> None:
@@ -18,25 +18,25 @@ def check(plan: Plan, out: Path) -> None:
         UserError: those whom this machine meets refuse it, the folder is taken, held or cannot be
             made, the disk is too full, or the data cannot be had or are not what they should be.
     """
-    plan.place.knock()
+    plan.placement.knock()
     if goes_on(plan):
         with run_record.locked(plan.folder):
-            run_record.check_part(plan.folder, plan.description, plan.place)
+            run_record.check_part(plan.folder, plan.description, plan.placement)
     else:
         new_folder.check_folder(out, plan.disk_bytes)
-    _check_data(plan.description, plan.place, plan.learners)
+    _check_data(plan.description, plan.placement, plan.learners)
 
 
 def goes_on(plan: Plan) -> bool:
     """Whether the folder holds a part of a run on several hosts, which the same command resumes."""
-    return plan.place.role != "all" and plan.folder.run_json.exists()
+    return plan.placement.role != "all" and plan.folder.run_json.exists()
 
 
-def _check_data(description: Description, place: Place, learners: tuple[str, ...]) -> None:
+def _check_data(description: Description, placement: Placement, learners: tuple[str, ...]) -> None:
     """Raises UserError."""
     if not learners:
         return
     dataset = description.dataset
     there = store.check(dataset.name, dataset.transitions, learners)
-    if there and place.role == "all":
+    if there and placement.role == "all":
         check_rewards(description, learners)

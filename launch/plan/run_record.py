@@ -22,7 +22,7 @@ from otc_dist.system.versions import PACKAGES, of_packages
 from otc_dist.terminal.errors import UserError
 
 from . import artifacts
-from .role import Place
+from .placement import Placement
 
 # "reporting": all is done but the report. "finished" is the last thing that is written.
 State = Literal["running", "stopped", "failed", "reporting", "finished"]
@@ -41,7 +41,7 @@ class RunRecord:
     state: State = "running"
     finished: str | None = None  # all but the report; UTC, ISO 8601
     quick: bool = False
-    place: Place = field(default_factory=Place)  # what of the run this folder is of
+    place: Placement = field(default_factory=Placement)  # which part of the run this folder holds
     resumed: tuple[str, ...] = ()  # when --resume went on with it
     extended: tuple[int, ...] = ()  # to how many deployments --deployments extended it
     processors: tuple[str, ...] = ()  # the kinds that it has run on, in order; see `processor.kind`
@@ -87,7 +87,7 @@ def create(
     folder: RunFolder,
     description: Description,
     quick: bool,
-    place: Place,
+    placement: Placement,
     origin: Path | None = None,
 ) -> RunRecord:
     """Write a new run's description.toml and run.json.
@@ -97,13 +97,13 @@ def create(
     """
     started = _now()
     record = RunRecord(
-        run=_own_name(folder) if place.role == "all" else shared_name(description),
+        run=_own_name(folder) if placement.role == "all" else shared_name(description),
         description=description.digest(),
         command=["python", "-m", "otc_dist.launch", *sys.argv[1:]],
         versions=versions(),
         started=started,
         quick=quick,
-        place=place,
+        place=placement,
         processors=(kind(),),
         origin=str(origin) if origin else None,
     )
@@ -196,7 +196,7 @@ def check_versions(record: RunRecord, folder: RunFolder) -> None:
             )
 
 
-def check_part(folder: RunFolder, description: Description, place: Place) -> None:
+def check_part(folder: RunFolder, description: Description, placement: Placement) -> None:
     """See that a folder is of this part of a run on several hosts, and can be gone on with.
 
     Raises:
@@ -204,21 +204,21 @@ def check_part(folder: RunFolder, description: Description, place: Place) -> Non
     """
     before = RunRecord.read(folder)
     part = (before.description, before.place.role, before.place.agent)
-    if part != (description.digest(), place.role, place.agent):
+    if part != (description.digest(), placement.role, placement.agent):
         raise UserError(f"{folder.root} is of another run, or of another part; use another --out")
     record, _ = _begun(folder)
     check_versions(record, folder)
 
 
-def rejoin(folder: RunFolder, description: Description, place: Place) -> RunRecord:
+def rejoin(folder: RunFolder, description: Description, placement: Placement) -> RunRecord:
     """The record of this part of a run to go on with, whose endpoints may have changed.
 
     Raises:
         UserError: as `check_part` and `reopen`.
     """
-    check_part(folder, description, place)
+    check_part(folder, description, placement)
     record, _ = reopen(folder)
-    return replace(record, place=place).moved_to(record.state, folder)
+    return replace(record, place=placement).moved_to(record.state, folder)
 
 
 @contextmanager

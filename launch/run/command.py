@@ -17,7 +17,7 @@ from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import say
 
 from ..plan import descriptions, new_folder, plan, preflight, run_record
-from ..plan.role import Place
+from ..plan.placement import Placement
 from . import hosts
 from .extend import extend
 from .origin import Origin
@@ -90,43 +90,43 @@ def _start(arguments: argparse.Namespace) -> int:
         raise UserError("--from is for a run whose processes are all on one machine")
     if arguments.hosts is not None:
         return _on_hosts(arguments, team, bool(chosen.bus.router))
-    place = Place.of(arguments, chosen, team)
+    placement = Placement.of(arguments, chosen, team)
     origin = Origin.of(arguments.origin, chosen) if arguments.origin else None
     if origin:
         chosen = origin.begun(chosen)
-    description = resolve(chosen, data_here=place.role != "host")
+    description = resolve(chosen, data_here=placement.role != "host")
     # A part of a run on several hosts has a folder of its own, also beside a whole run's.
-    part = "" if place.role == "all" else f"-{place.agent or HOST}"
+    part = "" if placement.role == "all" else f"-{placement.agent or HOST}"
     quickly = "-quick" if quick else ""
     arm = f"-{arguments.arm}" if arguments.arm else ""
     name = f"{description.name}{arm}{quickly}-seed{description.seed}{part}"
     out: Path = arguments.out or Path("runs") / name
-    run = out.name if place.role == "all" else run_record.shared_name(description)
-    planned = plan.make(description, RunFolder(out.resolve()), run, place)
+    run = out.name if placement.role == "all" else run_record.shared_name(description)
+    planned = plan.make(description, RunFolder(out.resolve()), run, placement)
     if arguments.dry_run:
         if quick:
             print(descriptions.QUICK_LABEL)
         say(*planned.lines())
         preflight.check(planned, out)
         return 0
-    if place.insecure:
+    if placement.insecure:
         print(INSECURE, file=sys.stderr)
     preflight.check(planned, out)
     if preflight.goes_on(planned):
         with run_record.locked(planned.folder):
-            record = run_record.rejoin(planned.folder, description, place)
-            return run_plan(plan.make(description, planned.folder, record.run, place), record)
+            record = run_record.rejoin(planned.folder, description, placement)
+            return run_plan(plan.make(description, planned.folder, record.run, placement), record)
     folder = new_folder.make_folder(out, planned.disk_bytes)
     with run_record.locked(folder):
         try:
             if origin:
                 origin.write(folder, description)
             begun = origin.root if origin else None
-            record = run_record.create(folder, description, quick, place, begun)
+            record = run_record.create(folder, description, quick, placement, begun)
         except (UserError, OSError):
             new_folder.take_away(folder.root, origin=True)
             raise
-        return run_plan(plan.make(description, folder, record.run, place), record)
+        return run_plan(plan.make(description, folder, record.run, placement), record)
 
 
 def _on_hosts(arguments: argparse.Namespace, team: TeamSpec, router: bool) -> int:

@@ -53,7 +53,7 @@ def run_plan(plan: Plan, record: RunRecord) -> int:
         title += f" ({descriptions.QUICK_LABEL})"
     say(f"{title}: {plan.folder.root}")
     strangers = nobody_of_run(plan, record.run)
-    for line in filter(None, (plan.place.meeting, plan.place.missing or strangers)):
+    for line in filter(None, (plan.placement.meeting, plan.placement.missing or strangers)):
         say(line)
     for remark in registry.remarks(plan.description.env.id):
         print(f"{plan.description.env.id}: {remark}", flush=True)
@@ -92,7 +92,7 @@ def run_plan(plan: Plan, record: RunRecord) -> int:
                 print(go_on)
             return MISTAKE if mistake else 1
         finally:
-            plan.place.leave(plan.folder.root)
+            plan.placement.leave(plan.folder.root)
     return 0
 
 
@@ -123,15 +123,15 @@ def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, 
     ledger.note_inputs(inputs.sources(description) | inputs.code(description), description)
     _do(plan, plan.preparations, supervisor, signals)
     ledger.note_inputs(inputs.data(description, plan.learners), description)
-    if plan.place.role == "all":
+    if plan.placement.role == "all":
         check_rewards(description, plan.learners)
     if plan.data_folder is not None:
         shutil.copyfile(plan.data_folder / CARD, folder.dataset_card)
     with open_view(title) as view:
         _run(plan, ledger, supervisor, signals, view)
         # Learners read what they have written before they leave; the disk may damage it later.
-        if damage := damaged_checkpoints(folder, description, plan.place, plan.learners):
-            if plan.place.role != "all":
+        if damage := damaged_checkpoints(folder, description, plan.placement, plan.learners):
+            if plan.placement.role != "all":
                 raise UserError(
                     f"{damage[0][0]}, and the env host has ended, without whose log it cannot be"
                     " made again: resume the run on all hosts"

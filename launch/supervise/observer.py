@@ -52,7 +52,7 @@ def observing(plan: Plan, run: str, take: Callable[[Sign | Waiting], None]) -> I
     Raises:
         UserError: there is no place for the bus of this machine, or no certificate.
     """
-    over, door = threading.Event(), plan.place.observed_at(plan.folder.root)
+    over, door = threading.Event(), plan.placement.observed_at(plan.folder.root)
     # A thread of its own, since the env host may take seconds before it listens.
     listener = threading.Thread(target=_listen, args=(plan, run, door, take, over), daemon=True)
     listener.start()
@@ -67,10 +67,13 @@ def nobody_of_run(plan: Plan, run: str) -> str:
     """One line if others are met where a learner is to meet its env host, but not that one: most
     likely it has another --seed. Empty if it is there, or nobody at all.
     """
-    if plan.place.role != "learner":
+    if plan.placement.role != "learner":
         return ""
     there = threading.Event()
-    door, maximum = plan.place.observed_at(plan.folder.root), plan.description.bus.maximum_payload
+    door, maximum = (
+        plan.placement.observed_at(plan.folder.root),
+        plan.description.bus.maximum_payload,
+    )
     try:
         session = Session.connect(door, maximum, timeout=_PATIENCE)
     except UserError:
@@ -109,7 +112,7 @@ def _listen(
         take(Token(HOST, is_alive))
 
     def tell(linked: bool) -> float:
-        if not plan.place.connect or time.monotonic() < told + TELL_EVERY:
+        if not plan.placement.connect or time.monotonic() < told + TELL_EVERY:
             return told
         there = f"waiting for {door.endpoint}: somebody is there, but no link comes about"
         take(Waiting(_stranger(door, run) if linked else absence(door) or there))
@@ -118,7 +121,7 @@ def _listen(
     while not over.is_set():
         try:
             # A folder that has gone with somebody's clean-up may be made elsewhere.
-            door = plan.place.observed_at(plan.folder.root)
+            door = plan.placement.observed_at(plan.folder.root)
             socket = local_socket(door.endpoint)
             session = Session.connect(door, maximum, timeout=_PATIENCE)
         except UserError:
@@ -136,5 +139,5 @@ def _listen(
                     take(Link(linked))
                 if not linked and socket is not None and not socket.exists():
                     break
-                met = linked and (alive.is_set() or plan.place.role != "learner")
+                met = linked and (alive.is_set() or plan.placement.role != "learner")
                 told = time.monotonic() if met else tell(linked)

@@ -37,7 +37,7 @@ class RunProcesses:
     def __init__(self, plan: Plan, supervisor: Supervisor) -> None:
         self._plan, self._supervisor = plan, supervisor
         self._commands = {process.name: process.command for process in plan.processes}
-        router = plan.place.host_is_router
+        router = plan.placement.host_is_router
         self.health = Health(self._commands, plan.patience, host_is_router=router)
         self._due = dict.fromkeys(self._commands, 0.0)  # to be started -> when
         self._finished: set[str] = set()  # ended well
@@ -62,7 +62,10 @@ class RunProcesses:
 
     def _find_socket(self) -> None:
         """Where the env host will listen; who was elsewhere finds it there, started again."""
-        before, self._socket = self._socket, self._plan.place.local_socket(self._plan.folder.root)
+        before, self._socket = (
+            self._socket,
+            self._plan.placement.local_socket(self._plan.folder.root),
+        )
         if before in (None, self._socket):
             return
         for name in self._supervisor.running:

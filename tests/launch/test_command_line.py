@@ -17,7 +17,7 @@ from otc_dist.description import Description
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.compare import job_graph
 from otc_dist.launch.plan import descriptions, new_folder, plan, run_record
-from otc_dist.launch.plan.role import Place
+from otc_dist.launch.plan.placement import Placement
 from otc_dist.launch.run.resolve import resolve
 from otc_dist.run.folder import RunFolder
 from otc_dist.system.processor import kind
@@ -151,7 +151,7 @@ def test_a_user_s_environment_that_hangs_when_it_is_asked_for_its_agents_is_one_
 def run(tmp_path: Path) -> RunFolder:
     """A run that was begun and not finished."""
     folder = new_folder.make_folder(tmp_path / "run", needed=0)
-    run_record.create(folder, resolve(_tiny()), quick=False, place=Place())
+    run_record.create(folder, resolve(_tiny()), quick=False, placement=Placement())
     return folder
 
 

@@ -14,7 +14,7 @@ from otc_dist.comparison.scores import Run as Scores
 from otc_dist.datasets.card import AgentFile, DatasetCard, Summary
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.plan import descriptions
-from otc_dist.launch.plan.role import Place
+from otc_dist.launch.plan.placement import Placement
 from otc_dist.launch.plan.run_record import RunRecord
 from otc_dist.launch.show.approve import waiting_lines
 from otc_dist.launch.show.process_states import ProcessState, Supervision
@@ -29,7 +29,7 @@ from tests.odd_json import twisted
 
 RECORD = RunRecord(
     "run", "0" * 16, ["python"], {"numpy": "2"}, "2026-01-01T10:00:00+00:00", "finished",
-    place=Place("host", listen="tls/0.0.0.0:1"), resumed=("2026-01-01T10:00:00+00:00",),
+    place=Placement("host", listen="tls/0.0.0.0:1"), resumed=("2026-01-01T10:00:00+00:00",),
     extended=(3,), inputs={"a": "b"},
 )  # fmt: skip
 PROCESS = ProcessState("works", 1.0, 7, 0, "", "offline", 0, 3, 5, 1.0, {"return": 2.0})

@@ -11,8 +11,8 @@ import pytest
 
 from otc_dist.bus.keys import HOST, Uses
 from otc_dist.launch.plan import descriptions
+from otc_dist.launch.plan.placement import Placement
 from otc_dist.launch.plan.plan import Plan, Process
-from otc_dist.launch.plan.role import Place
 from otc_dist.launch.run.resolve import resolve
 from otc_dist.launch.supervise import health
 from otc_dist.launch.supervise.observer import Token
@@ -47,7 +47,7 @@ def processes_of(
                 for name, command in commands.items()
             )
             team = TeamSpec("navigation", (), 0, 1)
-            plan = Plan(description, RunFolder(tmp_path), team, processes, Place())
+            plan = Plan(description, RunFolder(tmp_path), team, processes, Placement())
             processes = RunProcesses(plan, supervisor)
             processes.wait = lambda: signals.wait(0.01)  # type: ignore[attr-defined]
             return processes
@@ -131,7 +131,7 @@ def test_an_env_host_to_whom_nobody_can_come_any_more_is_started_again(
     monkeypatch.setattr("otc_dist.launch.supervise.processes.CLOSING", 0.01)
     path, agent, socket = tmp_path / "count", tmp_path / "agent", tmp_path / ".bus" / "bus"
     places = [socket, tmp_path / "bus" if moves else socket]
-    monkeypatch.setattr(Place, "local_socket", lambda *_: places.pop(0))
+    monkeypatch.setattr(Placement, "local_socket", lambda *_: places.pop(0))
     listens = "import pathlib, sys\nsocket = pathlib.Path(sys.argv.pop())\n"
     listens += "socket.parent.mkdir(exist_ok=True)\nsocket.touch()\n"
     waits = "import signal\nif count == 1: signal.pause()\nraise SystemExit"
@@ -159,7 +159,7 @@ def test_an_env_host_that_takes_its_socket_with_it_ends_by_itself(
 ) -> None:
     """It is not killed for what it has closed, so that its own end is told."""
     path, socket = tmp_path / "count", tmp_path / "bus"
-    monkeypatch.setattr(Place, "local_socket", lambda *_: socket)
+    monkeypatch.setattr(Placement, "local_socket", lambda *_: socket)
     closes = "import pathlib, signal, sys\nsocket = pathlib.Path(sys.argv.pop())\n"
     closes += "signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])\nsocket.touch()\n"
     closes += "if not pathlib.Path(sys.argv[1]).exists(): signal.sigwait([signal.SIGUSR1])\n"

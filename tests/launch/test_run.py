@@ -19,7 +19,7 @@ from otc_dist.datasets.importers import import_files
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.plan import descriptions, new_folder, run_record
 from otc_dist.launch.plan.ledger import Ledger
-from otc_dist.launch.plan.role import Place
+from otc_dist.launch.plan.placement import Placement
 from otc_dist.launch.plan.run_record import RunRecord
 from otc_dist.launch.run.resolve import resolve
 from otc_dist.run.folder import RunFolder
@@ -228,7 +228,7 @@ def test_a_run_does_not_go_on_with_other_data_of_the_same_name(
         descriptions.load("3agent_hopper", (*tiny_flags[1::2], *chosen), None, quick=False)
     )
     folder = new_folder.make_folder(tmp_path / "run", needed=0)
-    record = run_record.create(folder, description, quick=False, place=Place())
+    record = run_record.create(folder, description, quick=False, placement=Placement())
     Ledger(record, folder).note_inputs(inputs.data(description, AGENTS), description)
     shutil.rmtree(store.agent_file(name, "agent_0").parent)
     import_files([finished[0].deployment(2)], "swapped")

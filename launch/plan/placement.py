@@ -25,7 +25,7 @@ Role = Literal["all", "host", "learner"]
 
 
 @dataclass(frozen=True)
-class Place:
+class Placement:
     """What one launcher starts, and by which endpoint; kept in run.json.
 
     Attributes:
@@ -59,7 +59,7 @@ class Place:
                 " described as bus.router"
             )
         router = description.bus.router
-        place = cls(
+        placement = cls(
             role=role,
             agent=arguments.agent or "",
             listen=arguments.listen or "",
@@ -68,8 +68,8 @@ class Place:
             insecure=arguments.insecure,
             router=bool(router) and not arguments.connect,
         )
-        place._check(team)
-        return place
+        placement._check(team)
+        return placement
 
     def _check(self, team: TeamSpec) -> None:
         """Refuse what cannot work, before anything is written.
