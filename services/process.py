@@ -138,7 +138,7 @@ def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParse
         "--certs",
         type=Path,
         metavar="DIR",
-        help="certificates, for tls/ (see otc_dist.certs.authority)",
+        help="certificates, for tls/ (see otc_dist.certs)",
     )
     made.add_argument(
         "--insecure", action="store_true", help="permit endpoints that anybody may use"

@@ -199,9 +199,7 @@ def command_line() -> Parser:
     apart.add_argument("--agent", metavar="NAME", help="whose learner, as agent_0")
     apart.add_argument("--listen", metavar="ENDPOINT", help="of the host, as tls/0.0.0.0:7447")
     apart.add_argument("--connect", metavar="ENDPOINT", help="to the host, as tls/192.0.2.1:7447")
-    apart.add_argument(
-        "--certs", type=Path, metavar="DIR", help="what otc_dist.certs.authority has made"
-    )
+    apart.add_argument("--certs", type=Path, metavar="DIR", help="what otc_dist.certs has made")
     apart.add_argument("--insecure", action="store_true", help="no TLS: anybody may read and write")
     apart.add_argument(
         "--hosts",

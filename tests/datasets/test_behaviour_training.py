@@ -7,6 +7,7 @@ import torch
 
 from otc_dist.datasets.behaviour import policy_of
 from otc_dist.datasets.behaviour_training import training
+from otc_dist.datasets.behaviour_training.__main__ import main
 from otc_dist.datasets.behaviour_training.ppo import RunningMoments, Settings, Trainer
 from otc_dist.envs import registry
 
@@ -97,7 +98,7 @@ def test_the_command_writes_snapshots_and_their_card(tmp_path, monkeypatch, caps
         evaluation_episodes=2,
     )
     monkeypatch.setitem(training.TASKS, "hopper", task)
-    assert training.main(["hopper", "--seed", "3", "--out", str(tmp_path)]) == 0
+    assert main(["hopper", "--seed", "3", "--out", str(tmp_path)]) == 0
     card = json.loads((tmp_path / "hopper" / "card.json").read_text())
     files = sorted(path.name for path in (tmp_path / "hopper").glob("*.safetensors"))
     assert files == [row["file"] for row in card["snapshots"]]
@@ -108,5 +109,5 @@ def test_the_command_writes_snapshots_and_their_card(tmp_path, monkeypatch, caps
 
 def test_help_names_the_tasks(capsys):
     with pytest.raises(SystemExit):
-        training.main(["--help"])
+        main(["--help"])
     assert "5m_vs_6m,halfcheetah" in capsys.readouterr().out
