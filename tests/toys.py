@@ -27,7 +27,7 @@ from otc_dist.otc.samplers.interface import (
     Sampler,
     Selection,
 )
-from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 
 
@@ -55,11 +55,11 @@ class Cloning:
         weight = np.zeros((self.observation_size, self.action_size), np.float32)
         return {"weight": weight, "updates": np.zeros(())}
 
-    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+    def noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
         return {}
 
     def update(
-        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+        self, state: State, batch: Batch, imitated: Batch, noise: Noise
     ) -> tuple[State, Tensor]:
         error = imitated.observation @ state["weight"] - imitated.action
         slope = imitated.observation.T @ error / len(error)
@@ -67,10 +67,10 @@ class Cloning:
         new = {**state, "weight": weight, "updates": state["updates"] + 1}
         return new, error.square().mean().view(1)
 
-    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+    def acting_noise_spec(self, copies: int) -> Mapping[str, NoiseSpec]:
         return {}
 
-    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def act(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         return (observations @ state["weight"]).clamp(-1, 1)
 
 
@@ -87,7 +87,7 @@ class Recent(Sampler):
     settings: RecentSection
     batch_size: int
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         first = extent.size - self.settings.span
         return {"batch": random.integers(first, extent.size, (updates, self.batch_size))}
 
@@ -95,8 +95,8 @@ class Recent(Sampler):
         seen = held.state.get("sampler_seen", torch.zeros(()))
         return Begun(held.data, {"sampler_seen": seen + 1})
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        return Selection(draws["batch"], draws["batch"])
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        return Selection(sampled["batch"], sampled["batch"])
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ def algorithm(section: CqlSection, spec: AgentSpec, key: jax.Array) -> Algorithm
         "log_temperature": jnp.zeros(()),
     }
 
-    def draw(actor: Tree, s: jax.Array, key: jax.Array, *count: int) -> Any:
+    def sample(actor: Tree, s: jax.Array, key: jax.Array, *count: int) -> Any:
         """Actions (B, *count, a) of the policy, and their log densities."""
         mean, log_std = jnp.split(apply(actor, s), 2, -1)
         log_std = log_std.clip(-5, 2)
@@ -41,12 +41,12 @@ def algorithm(section: CqlSection, spec: AgentSpec, key: jax.Array) -> Algorithm
     def update(p: Tree, targets: Tree, adam: Tree, batch: Batch, key: jax.Array) -> Any:
         s, a, r, next_s, done = batch
         keys = jax.random.split(key, 5)
-        next_a, _ = draw(p["actor"], next_s, keys[0])
+        next_a, _ = sample(p["actor"], next_s, keys[0])
         target = jnp.minimum(*both(targets["critic"], next_s, next_a))
         target = r + section.discount * (1 - done) * target
         uniform = jax.random.uniform(keys[1], (len(s), samples, a_size), minval=-1, maxval=1)
-        current, current_density = draw(p["actor"], s, keys[2], samples)
-        following, next_density = draw(p["actor"], next_s, keys[3], samples)
+        current, current_density = sample(p["actor"], s, keys[2], samples)
+        following, next_density = sample(p["actor"], next_s, keys[3], samples)
 
         def critic_loss(twins: Tree) -> jax.Array:
             loss = jnp.zeros(())
@@ -62,7 +62,7 @@ def algorithm(section: CqlSection, spec: AgentSpec, key: jax.Array) -> Algorithm
             return loss
 
         def temperature_loss(log_temperature: jax.Array) -> jax.Array:
-            surplus = jax.lax.stop_gradient(draw(p["actor"], s, keys[4])[1] - a_size)
+            surplus = jax.lax.stop_gradient(sample(p["actor"], s, keys[4])[1] - a_size)
             return -(log_temperature * surplus).mean()
 
         gradient = jax.grad(temperature_loss)(p["log_temperature"])
@@ -71,7 +71,7 @@ def algorithm(section: CqlSection, spec: AgentSpec, key: jax.Array) -> Algorithm
         )
 
         def actor_loss(actor: Tree) -> jax.Array:
-            chosen, density = draw(actor, s, keys[4])
+            chosen, density = sample(actor, s, keys[4])
             return (jnp.exp(warmth) * density - jnp.minimum(*both(p["critic"], s, chosen))).mean()
 
         gradients = {

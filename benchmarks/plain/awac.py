@@ -31,7 +31,7 @@ class PlainAwac:
         self.critic_adam = adam(self.critics.parameters(), section.critic_learning_rate)
 
     def update(self) -> list[float]:
-        s, a, r, next_s, done = self.minibatches.draw()
+        s, a, r, next_s, done = self.minibatches.sample()
 
         with torch.no_grad():
             next_a = self.policy(next_s).sample().clamp(-1, 1)

@@ -35,7 +35,7 @@ class PlainBcq:
 
     def update(self) -> list[float]:
         settings = self.section
-        s, a, r, next_s, done = self.minibatches.draw()
+        s, a, r, next_s, done = self.minibatches.sample()
 
         mean, log_std = self.encoder(torch.cat((s, a), 1)).chunk(2, 1)
         std = log_std.clamp(-4, 15).exp()

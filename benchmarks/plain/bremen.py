@@ -39,7 +39,7 @@ class PlainBremen:
         self.value_adam = adam(self.values.parameters(), 1e-3)
 
     def update(self) -> list[float]:
-        s, a, _, next_s, _ = self.minibatches.draw()
+        s, a, _, next_s, _ = self.minibatches.sample()
         x = normalised(s, self.state_moments)
         pair = torch.cat((x, normalised(a, self.action_moments)), 1)
         change = normalised(next_s - s, self.change_moments)
@@ -57,7 +57,7 @@ class PlainBremen:
     def improve(self) -> list[float]:
         """Rollouts in the averaged models, one step of TRPO, and a fit of the value function."""
         with torch.no_grad():
-            x, actions, rewards, advantages, targets = self.rollouts(self.minibatches.draw()[0])
+            x, actions, rewards, advantages, targets = self.rollouts(self.minibatches.sample()[0])
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         length = self.trust_region_step(x, actions, advantages)
         for _ in range(100):

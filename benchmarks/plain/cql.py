@@ -32,7 +32,7 @@ class PlainCql:
         self.critic_adam = adam(self.critics.parameters(), section.critic_learning_rate)
 
     def update(self) -> list[float]:
-        s, a, r, next_s, done = self.minibatches.draw()
+        s, a, r, next_s, done = self.minibatches.sample()
 
         chosen, log_density = self.sample(s)
         surplus = (log_density - self.action_size).detach()

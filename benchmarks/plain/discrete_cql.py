@@ -24,7 +24,7 @@ class PlainDiscreteCql:
         self.critic_adam = torch.optim.Adam(parameters, section.critic_learning_rate)
 
     def update(self) -> list[float]:
-        s, a, r, next_s, done = self.minibatches.draw()
+        s, a, r, next_s, done = self.minibatches.sample()
         available, next_available = s[:, -self.choices :] > 0, next_s[:, -self.choices :] > 0
 
         with torch.no_grad():

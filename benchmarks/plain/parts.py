@@ -25,7 +25,7 @@ class Minibatches:
         for field in (0, 3):
             self.fields[field] = normalised(self.fields[field], of)
 
-    def draw(self) -> list[Tensor]:
+    def sample(self) -> list[Tensor]:
         """s (B, s), a (B, a), r (B,), s' (B, s) and terminated (B,)."""
         rows = torch.randint(len(self.fields[0]), (self.batch_size,))
         return [field[rows] for field in self.fields]

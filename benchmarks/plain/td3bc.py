@@ -27,7 +27,7 @@ class PlainTd3Bc:
         self.critic_adam = adam(self.critics.parameters(), section.critic_learning_rate)
 
     def update(self) -> list[float]:
-        s, a, r, next_s, done = self.minibatches.draw()
+        s, a, r, next_s, done = self.minibatches.sample()
         self.updates += 1
 
         with torch.no_grad():

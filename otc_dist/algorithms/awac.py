@@ -20,8 +20,8 @@ from otc_dist.algorithms.critics import StandardisedActorCritic, td_target
 from otc_dist.algorithms.gaussian import log_density
 from otc_dist.algorithms.interface import Batch
 from otc_dist.description.algorithms import AlgorithmSection, SmallSection
-from otc_dist.steps.draws import Draw, Draws
 from otc_dist.steps.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 from otc_dist.system.lazy import torch
 
@@ -74,12 +74,12 @@ class Awac(StandardisedActorCritic):
         networks = fresh_state({"critic": critic, "actor": actor}, targets=("critic",))
         return {**networks, **self.statistics(offline)}
 
-    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+    def noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
         shape = (batch_size, self.action_size)
-        return {"target": Draw("normal", shape), "actor": Draw("normal", shape)}
+        return {"target": NoiseSpec("normal", shape), "actor": NoiseSpec("normal", shape)}
 
     def update(
-        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+        self, state: State, batch: Batch, imitated: Batch, noise: Noise
     ) -> tuple[State, Tensor]:
         """One update of the critics and of the actor.
 
@@ -149,17 +149,17 @@ class Awac(StandardisedActorCritic):
         mean, log_std = self.policy(actor, observations)
         return (mean + log_std.exp() * noise).clamp(-1, 1)
 
-    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+    def acting_noise_spec(self, copies: int) -> Mapping[str, NoiseSpec]:
         return {}
 
-    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def act(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """The policy's mean action."""
         return self.policy(state["actor"], self.standardised(state, observations))[0]
 
-    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
-        return {"value": Draw("normal", (count, samples, self.action_size))}
+    def value_noise_spec(self, count: int, samples: int) -> Mapping[str, NoiseSpec]:
+        return {"value": NoiseSpec("normal", (count, samples, self.action_size))}
 
-    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def value(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """V(s): the mean of Q_1 over sampled actions of the policy (B,)."""
         s = self.standardised(state, observations).unsqueeze(1)
         actions = self.sample(state["actor"], s, noise["value"])

@@ -18,8 +18,8 @@ from pydantic import Field
 from otc_dist.algorithms.critics import ActorCritic, td_target
 from otc_dist.algorithms.interface import Batch
 from otc_dist.description.algorithms import AlgorithmSection, SmallSection
-from otc_dist.steps.draws import Draw, Draws
 from otc_dist.steps.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 from otc_dist.system.lazy import torch
 
@@ -86,16 +86,16 @@ class Bcq(ActorCritic):
         networks = {"vae": vae, "critic": critic, "actor": actor}
         return fresh_state(networks, targets=("critic", "actor"))
 
-    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+    def noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
         latent, candidates = self.latent_size, self.settings.target_candidates
         return {
-            "vae": Draw("normal", (batch_size, latent)),
-            "target": Draw("normal", (batch_size, candidates, latent)),
-            "actor": Draw("normal", (batch_size, latent)),
+            "vae": NoiseSpec("normal", (batch_size, latent)),
+            "target": NoiseSpec("normal", (batch_size, candidates, latent)),
+            "actor": NoiseSpec("normal", (batch_size, latent)),
         }
 
     def update(
-        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+        self, state: State, batch: Batch, imitated: Batch, noise: Noise
     ) -> tuple[State, Tensor]:
         """One update of the VAE, then the critics, then the actor, in the authors' order.
 
@@ -176,19 +176,21 @@ class Bcq(ActorCritic):
         change = self.settings.perturbation * self.actor.apply(actor, observations, actions).tanh()
         return (actions + change).clamp(-1, 1)
 
-    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
-        return {"act": Draw("normal", (copies, self.settings.acting_candidates, self.latent_size))}
+    def acting_noise_spec(self, copies: int) -> Mapping[str, NoiseSpec]:
+        return {
+            "act": NoiseSpec("normal", (copies, self.settings.acting_candidates, self.latent_size))
+        }
 
-    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def act(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """The best by Q_1 of `acting_candidates` decoded and perturbed actions."""
         actions, q = self._candidates(state, observations, noise["act"])
         best = q.argmax(-1)
         return actions[torch.arange(actions.shape[0], device=actions.device), best]
 
-    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
-        return {"value": Draw("normal", (count, samples, self.latent_size))}
+    def value_noise_spec(self, count: int, samples: int) -> Mapping[str, NoiseSpec]:
+        return {"value": NoiseSpec("normal", (count, samples, self.latent_size))}
 
-    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def value(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """V(s): the mean of Q_1 over decoded and perturbed actions (B,)."""
         return self._candidates(state, observations, noise["value"])[1].mean(-1)
 

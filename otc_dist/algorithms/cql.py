@@ -23,8 +23,8 @@ from otc_dist.algorithms.critics import StandardisedActorCritic, td_target
 from otc_dist.algorithms.gaussian import mode_squashed, sample_squashed
 from otc_dist.algorithms.interface import Batch
 from otc_dist.description.algorithms import AlgorithmSection, LargeSection
-from otc_dist.steps.draws import Draw, Draws
 from otc_dist.steps.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 from otc_dist.system.lazy import torch
 
@@ -79,19 +79,19 @@ class Cql(StandardisedActorCritic):
         networks = {"actor": actor, "critic": critic, "log_temperature": np.zeros(1)}
         return {**fresh_state(networks, targets=("critic",)), **self.statistics(offline)}
 
-    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+    def noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
         one = (batch_size, self.action_size)
         several = (self.settings.action_samples, self.action_size)
         return {
-            "actor": Draw("normal", one),
-            "target": Draw("normal", one),
-            "random": Draw("uniform", (batch_size, *several)),
-            "current": Draw("normal", (batch_size, *several)),
-            "next": Draw("normal", (batch_size, *several)),
+            "actor": NoiseSpec("normal", one),
+            "target": NoiseSpec("normal", one),
+            "random": NoiseSpec("uniform", (batch_size, *several)),
+            "current": NoiseSpec("normal", (batch_size, *several)),
+            "next": NoiseSpec("normal", (batch_size, *several)),
         }
 
     def update(
-        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+        self, state: State, batch: Batch, imitated: Batch, noise: Noise
     ) -> tuple[State, Tensor]:
         """One update of the temperature, the actor and the critics, in the authors' order.
 
@@ -167,7 +167,7 @@ class Cql(StandardisedActorCritic):
         return td_target(batch, self.settings.discount, q)
 
     def candidates(
-        self, here: tuple[Tensor, Tensor], there: tuple[Tensor, Tensor], noise: Draws
+        self, here: tuple[Tensor, Tensor], there: tuple[Tensor, Tensor], noise: Noise
     ) -> tuple[Tensor, Tensor]:
         """Actions of the conservative term (B, 3n, a) and their log densities (B, 3n).
 
@@ -210,18 +210,18 @@ class Cql(StandardisedActorCritic):
         gap = (torch.logsumexp(q_candidates - log_density, -1) - q_data).mean(-1)
         return (bellman + self.settings.weight * gap).sum()
 
-    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+    def acting_noise_spec(self, copies: int) -> Mapping[str, NoiseSpec]:
         return {}
 
-    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def act(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """The squashed mean of the policy."""
         s = self.standardised(state, observations)
         return mode_squashed(self.policy(state["actor"], s)[0])
 
-    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
-        return {"value": Draw("normal", (count, samples, self.action_size))}
+    def value_noise_spec(self, count: int, samples: int) -> Mapping[str, NoiseSpec]:
+        return {"value": NoiseSpec("normal", (count, samples, self.action_size))}
 
-    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def value(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """V(s): the mean of Q_1 over actions sampled from the policy (B,)."""
         s = self.standardised(state, observations).unsqueeze(1)
         actions, _ = sample_squashed(*self.policy(state["actor"], s), noise["value"])

@@ -24,8 +24,8 @@ from pydantic import Field
 from otc_dist.algorithms.critics import td_target
 from otc_dist.algorithms.interface import Batch
 from otc_dist.description.algorithms import AlgorithmSection, LargeSection
-from otc_dist.steps.draws import Draw, Draws
 from otc_dist.steps.networks import Mlp, descend, fresh_state, polyak
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 from otc_dist.system.lazy import torch
 
@@ -72,11 +72,11 @@ class DiscreteCql:
         """The network critic, with a target."""
         return fresh_state({"critic": self.critic.initialise(random)}, targets=("critic",))
 
-    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+    def noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
         return {}
 
     def update(
-        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+        self, state: State, batch: Batch, imitated: Batch, noise: Noise
     ) -> tuple[State, Tensor]:
         """One update of the critic."""
         target = self.target(state, batch)
@@ -124,20 +124,20 @@ class DiscreteCql:
         values = self.critic.apply(critic, observations)
         return self.masked(values, observations).argmax(-1, keepdim=True)
 
-    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+    def acting_noise_spec(self, copies: int) -> Mapping[str, NoiseSpec]:
         return {}
 
-    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def act(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """The best available action's index."""
         return self.greedy(state["critic"], observations).to(observations.dtype)
 
     def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
         return _at(self.critic.apply(state["critic"], observations), actions)
 
-    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
+    def value_noise_spec(self, count: int, samples: int) -> Mapping[str, NoiseSpec]:
         return {}
 
-    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def value(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """V(s): the greatest Q of an available action (B,)."""
         values = self.critic.apply(state["critic"], observations)
         return self.masked(values, observations).amax(-1)

@@ -17,7 +17,7 @@ from typing import (
 
 import numpy as np
 
-from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import Fuse, State
 from otc_dist.system.lazy import torch
 from otc_dist.transitions import RowLayout
@@ -74,12 +74,12 @@ class Algorithm(Protocol):
         """
         ...
 
-    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+    def noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
         """The random arrays that one `update` of a batch of this size needs."""
         ...
 
     def update(
-        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+        self, state: State, batch: Batch, imitated: Batch, noise: Noise
     ) -> tuple[State, Tensor]:
         """One gradient update: the new state, and the values of `metric_names`.
 
@@ -92,11 +92,11 @@ class Algorithm(Protocol):
         """
         ...
 
-    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+    def acting_noise_spec(self, copies: int) -> Mapping[str, NoiseSpec]:
         """The random arrays that `act` needs for `copies` observations."""
         ...
 
-    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def act(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """Deployed actions (E, a) in [-1, 1], or indices (E, 1), for observations (E, s)."""
         ...
 
@@ -109,11 +109,11 @@ class Critic(Protocol):
         """Q(s, a_i) (B,) of the online critic, without its gradient's sake."""
         ...
 
-    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
+    def value_noise_spec(self, count: int, samples: int) -> Mapping[str, NoiseSpec]:
         """The random arrays that `value` needs for `count` states."""
         ...
 
-    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def value(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """V(s) = E_a Q(s, a) (B,) over the policy's actions, by the samples in `noise`."""
         ...
 
@@ -136,11 +136,11 @@ class Improving(Protocol):
         """The state in which the first improvement of a phase finds the policy."""
         ...
 
-    def improvement_noise(self, batch_size: int) -> Mapping[str, Draw]:
+    def improvement_noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
         """The random arrays that one `improve` from a batch of this size needs."""
         ...
 
-    def improve(self, fuse: Fuse, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def improve(self, fuse: Fuse, state: State, batch: Batch, noise: Noise) -> tuple[State, Tensor]:
         """One improvement from the states of a batch, and `improvement_metric_names`' values.
 
         Args:

@@ -16,8 +16,8 @@ from pydantic import Field
 from otc_dist.algorithms.critics import StandardisedActorCritic, td_target
 from otc_dist.algorithms.interface import Batch
 from otc_dist.description.algorithms import AlgorithmSection, LargeSection
-from otc_dist.steps.draws import Draw, Draws
 from otc_dist.steps.networks import Mlp, descend, fresh_state, polyak, when
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 from otc_dist.system.lazy import torch
 
@@ -68,11 +68,11 @@ class Td3Bc(StandardisedActorCritic):
             **self.statistics(offline),
         }
 
-    def noise(self, batch_size: int) -> Mapping[str, Draw]:
-        return {"target": Draw("normal", (batch_size, self.action_size))}
+    def noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
+        return {"target": NoiseSpec("normal", (batch_size, self.action_size))}
 
     def update(
-        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+        self, state: State, batch: Batch, imitated: Batch, noise: Noise
     ) -> tuple[State, Tensor]:
         """One update of the critics, and, at every POLICY_DELAY-th, of the actor and all targets.
 
@@ -129,17 +129,17 @@ class Td3Bc(StandardisedActorCritic):
         scale = self.settings.q_weight / q.abs().mean().detach()
         return torch.nn.functional.mse_loss(actions, batch.action) - scale * q.mean()
 
-    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+    def acting_noise_spec(self, copies: int) -> Mapping[str, NoiseSpec]:
         return {}
 
-    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def act(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """pi(s)."""
         return self._action(state["actor"], self.standardised(state, observations))
 
-    def value_noise(self, count: int, samples: int) -> Mapping[str, Draw]:
+    def value_noise_spec(self, count: int, samples: int) -> Mapping[str, NoiseSpec]:
         return {}
 
-    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def value(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         """V(s) = Q_1(s, pi(s)) (B,): the policy is deterministic."""
         return self.q(state, observations, self.act(state, observations, noise))
 

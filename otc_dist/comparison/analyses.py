@@ -36,7 +36,7 @@ from otc_dist.otc.samplers.interface import (
 from otc_dist.otc.samplers.mixing import ImitatingAll
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec
-from otc_dist.steps.draws import Draws
+from otc_dist.steps.noise import Noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import Float32, JointStep
 
@@ -71,7 +71,7 @@ class _Rows(Sampler):
     batch_size: int
     rows: Tensor = field(default_factory=lambda: torch.empty(0))  # (n, width), of this deployment
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         shape = (updates, self.batch_size)
         return {
             "batch": random.integers(extent.size, extent.size + len(self.rows), shape),
@@ -83,8 +83,8 @@ class _Rows(Sampler):
         mine = held.data.rows[: held.extent.size]
         return Begun(held.data._replace(rows=torch.cat((mine, self.rows.to(mine.device)))))
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        return Selection(draws["batch"], draws["plain"])
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        return Selection(sampled["batch"], sampled["plain"])
 
 
 class _Perfect:

@@ -19,8 +19,8 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.distances import create_features
 from otc_dist.otc.distances.interface import Features, Setting
 from otc_dist.spec import AgentSpec
-from otc_dist.steps.draws import Draw, Draws, draw, to_tensors
 from otc_dist.steps.engine import Engine
+from otc_dist.steps.noise import Noise, NoiseSpec, sample_noise, to_tensors
 from otc_dist.steps.state import State
 from otc_dist.transitions import Float32, RowLayout, Transitions
 
@@ -70,10 +70,10 @@ class Specimen:
         in the environment's units; of discrete actions 1 where they differ, else 0.
         """
 
-        def answer(part: Tensor, noise: Draws) -> Tensor:
+        def answer(part: Tensor, noise: Noise) -> Tensor:
             return self.algorithm.act(self.state, unpack(part, self.layout).observation, noise)
 
-        actions = _in_chunks(rows, self.algorithm.acting_noise, random, answer).numpy()
+        actions = _in_chunks(rows, self.algorithm.acting_noise_spec, random, answer).numpy()
         recorded: Float32 = rows[:, self.layout.action].numpy()
         if self.layout.choices:
             differs: Float32 = (recorded != actions).astype(np.float32)
@@ -86,26 +86,26 @@ class Specimen:
         if critic is None:
             return torch.full((len(rows),), torch.nan)
 
-        def value(part: Tensor, noise: Draws) -> Tensor:
+        def value(part: Tensor, noise: Noise) -> Tensor:
             batch = unpack(part, self.layout)
             values = critic.value(self.state, batch.next_observation, noise)
             return torch.where(batch.terminated > 0, 0.0, values)
 
         return _in_chunks(
-            rows, lambda count: critic.value_noise(count, VALUE_SAMPLES), random, value
+            rows, lambda count: critic.value_noise_spec(count, VALUE_SAMPLES), random, value
         )
 
 
 def _in_chunks(
     rows: Tensor,
-    wanted: Callable[[int], Mapping[str, Draw]],
+    specs: Callable[[int], Mapping[str, NoiseSpec]],
     random: np.random.Generator,
-    function: Callable[[Tensor, Draws], Tensor],
+    function: Callable[[Tensor, Noise], Tensor],
 ) -> Tensor:
     found = []
     with torch.no_grad():
         for part in torch.split(rows, CHUNK):
-            noise = draw(random, wanted(len(part)), 1)
+            noise = sample_noise(random, specs(len(part)), 1)
             tensors = to_tensors(noise, part.device)
             found.append(function(part, {name: array[0] for name, array in tensors.items()}))
     return torch.cat(found)

@@ -10,7 +10,7 @@ from otc_dist.algorithms.bcq import Bcq
 from otc_dist.learner.action_scale import ActionScale
 from otc_dist.learner.learner import Learner
 from otc_dist.spec import AgentSpec
-from otc_dist.steps.draws import draw, to_tensors
+from otc_dist.steps.noise import sample_noise, to_tensors
 from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
 
 CHUNK = 2048  # states asked about at once
@@ -33,9 +33,10 @@ def would_do(learner: Learner, observations: Float32, random: np.random.Generato
     with torch.no_grad():
         for start in range(0, len(observations), CHUNK):
             part = torch.tensor(observations[start : start + CHUNK], device=device)
-            noise = to_tensors(draw(random, algorithm.acting_noise(len(part)), 1), device)
-            draws = {name: array[0] for name, array in noise.items()}
-            found.append(algorithm.act(state, part, draws).cpu().numpy())
+            specs = algorithm.acting_noise_spec(len(part))
+            arrays = to_tensors(sample_noise(random, specs, 1), device)
+            noise = {name: array[0] for name, array in arrays.items()}
+            found.append(algorithm.act(state, part, noise).cpu().numpy())
     return ActionScale(learner.spec).unscaled(np.concatenate(found))
 
 

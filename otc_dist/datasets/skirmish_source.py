@@ -64,6 +64,6 @@ class _Alike:
 
     def act(self, observations: Sequence[Float32], noise: Float32) -> Sequence[Float32]:
         # One row an agent and copy, agent by agent.
-        draws = np.concatenate(np.split(noise, self._agents, axis=1))
-        actions = self._policy.act(np.concatenate(observations), draws)
+        by_row = np.concatenate(np.split(noise, self._agents, axis=1))
+        actions = self._policy.act(np.concatenate(observations), by_row)
         return np.split(actions, self._agents)

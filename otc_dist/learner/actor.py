@@ -15,7 +15,7 @@ from otc_dist.learner.action_scale import ActionScale
 from otc_dist.randomness import stream
 from otc_dist.run.exploration import explore
 from otc_dist.spec import AgentSpec
-from otc_dist.steps.draws import draw, to_tensors
+from otc_dist.steps.noise import sample_noise, to_tensors
 from otc_dist.steps.state import State
 from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32
@@ -57,12 +57,11 @@ class Actor:
                 f"an observation of {self.spec.name} has no available action, at step {step} of"
                 f" {phase} {deployment}: the environment must always offer one"
             )
-        noise = self.noise(phase, deployment, step, len(observations))
         device = next(iter(state.values())).device
         with torch.no_grad():
             states = torch.tensor(observations, device=device)
-            draws = to_tensors(noise, device)
-            actions: Float32 = self.algorithm.act(state, states, draws).cpu().numpy()
+            noise = to_tensors(self.noise(phase, deployment, step, len(observations)), device)
+            actions: Float32 = self.algorithm.act(state, states, noise).cpu().numpy()
         if exploring:
             settings = self.description.deployment
             random = self._stream("explore", deployment, step)
@@ -76,8 +75,8 @@ class Actor:
 
         Each has as many rows as there are copies, and the first of them are the same for more.
         """
-        wanted = self.algorithm.acting_noise(copies)
-        arrays = draw(self._stream("act", phase, deployment, step), wanted, 1)
+        specs = self.algorithm.acting_noise_spec(copies)
+        arrays = sample_noise(self._stream("act", phase, deployment, step), specs, 1)
         return {name: array[0] for name, array in arrays.items()}
 
     def _stream(self, *key: int | str) -> np.random.Generator:

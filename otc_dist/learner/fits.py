@@ -8,8 +8,8 @@ from otc_dist.learner import checkpoint
 from otc_dist.learner.experience import Experience
 from otc_dist.otc.distances import create_features
 from otc_dist.otc.distances.interface import Features, Setting
-from otc_dist.steps.draws import to_tensors
 from otc_dist.steps.engine import Engine
+from otc_dist.steps.noise import to_tensors
 from otc_dist.steps.state import State
 
 Report = Callable[[str, int, int, dict[str, float]], None]  # of which, updates done, of how many

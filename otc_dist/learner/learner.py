@@ -32,8 +32,8 @@ from otc_dist.otc.samplers.interface import Begun, Held, Sampler
 from otc_dist.otc.samplers.offline import offline_sampler, prepared
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec, Task
-from otc_dist.steps.draws import to_arrays, to_tensors
 from otc_dist.steps.engine import Engine, resolve
+from otc_dist.steps.noise import to_arrays, to_tensors
 from otc_dist.steps.state import State
 from otc_dist.transitions import Float32, RowLayout, Transitions
 

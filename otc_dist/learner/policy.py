@@ -21,7 +21,7 @@ from otc_dist.learner import checkpoint, policy_export
 from otc_dist.learner.actor import ActingPhase, Actor
 from otc_dist.learner.policy_choice import chosen
 from otc_dist.spec import AgentSpec
-from otc_dist.steps.draws import to_tensors
+from otc_dist.steps.noise import to_tensors
 from otc_dist.steps.state import State
 from otc_dist.system import durable
 from otc_dist.terminal.errors import UserError, told
@@ -118,8 +118,8 @@ class Policy:
             observations: (E, observation_size), of E copies of the agent, or (observation_size,)
                 of one. With discrete actions the last `spec.choices` entries say which are
                 available (1) and which are not (0).
-            step: of the episode, from 0. What a policy draws to act depends on it (BCQ); most
-                policies draw nothing.
+            step: of the episode, from 0. A policy's noise depends on it (BCQ); most
+                policies need none.
 
         Returns:
             Actions (E, action_size), or (action_size,), float32, within the agent's bounds and in
@@ -198,9 +198,9 @@ def _needed(actor: Actor, learned: State, path: Path) -> State:
     Raises:
         UserError: it cannot act by this.
     """
-    wanted = actor.algorithm.acting_noise(1)
-    if sum(np.prod(shape, dtype=np.float64) for _, shape in wanted.values()) > _MOST_NOISE:
-        raise UserError(f"the run of {path} draws too many random numbers for one observation")
+    specs = actor.algorithm.acting_noise_spec(1)
+    if sum(np.prod(shape, dtype=np.float64) for _, shape in specs.values()) > _MOST_NOISE:
+        raise UserError(f"the run of {path} needs too many random numbers for one observation")
     seen = _Seen(learned)
     ones = np.ones((1, actor.spec.observation_size), np.float32)
     try:

@@ -43,14 +43,14 @@ def export(actor: Actor, state: State, about: Mapping[str, object], suffix: str)
         raise UserError(
             f"a policy is exported to a file that ends in .onnx or .pt2, not in {suffix!r}"
         )
-    wanted = actor.algorithm.acting_noise(_TRACED)
+    specs = actor.algorithm.acting_noise_spec(_TRACED)
     noise = actor.noise("evaluation", 0, 0, _TRACED)
-    drawn = {
-        name: {"kind": kind, "shape": ["E", *shape[1:]]} for name, (kind, shape) in wanted.items()
+    described = {
+        name: {"kind": kind, "shape": ["E", *shape[1:]]} for name, (kind, shape) in specs.items()
     }
     example = {"observations": torch.ones(_TRACED, actor.spec.observation_size)}
     example |= {name: torch.from_numpy(array) for name, array in noise.items()}
-    told = json.dumps({**about, "noise": drawn})
+    told = json.dumps({**about, "noise": described})
     with _silent():
         return writers[suffix](_Example(_Module(actor, state, tuple(noise)), example), told)
 
@@ -69,8 +69,8 @@ class _Module(torch.nn.Module):
     def forward(self, observations: Tensor, *noise: Tensor) -> Tensor:
         """Actions (E, a), as `Actor.act` gives them."""
         state = {name: self.get_buffer(f"state_{name}") for name in self._names}
-        draws = dict(zip(self._noise, noise, strict=True))
-        actions = self._algorithm.act(state, observations, draws)
+        by_name = dict(zip(self._noise, noise, strict=True))
+        actions = self._algorithm.act(state, observations, by_name)
         exact = actions * self.get_buffer("scale") + self.get_buffer("centre")
         return exact.clamp(self.get_buffer("low"), self.get_buffer("high"))
 

@@ -13,14 +13,14 @@ from torch import Tensor
 from otc_dist.algorithms.interface import Algorithm, Improving, unpack
 from otc_dist.otc.data import Data
 from otc_dist.otc.samplers.interface import Extent, Sampler
-from otc_dist.steps.draws import Draw, Draws, draw
 from otc_dist.steps.engine import Engine, Update
+from otc_dist.steps.noise import Noise, NoiseSpec, sample_noise
 from otc_dist.steps.state import State
-from otc_dist.steps.training import BLOCK, DrawBlock, train
+from otc_dist.steps.training import BLOCK, SampleBlock, train
 from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import RowLayout
 
-Step = Callable[[State, Tensor, Tensor, Draws], tuple[State, Tensor]]
+Step = Callable[[State, Tensor, Tensor, Noise], tuple[State, Tensor]]
 OnBlock = Callable[[State, int, dict[str, float]], None]
 
 
@@ -100,9 +100,9 @@ class Trainer:
             on_block(state, done, dict(zip(names, metrics, strict=True)))
 
         update = self._engine.record(self._update(data))
-        noise = self._algorithm.noise(self._batch_size)
-        draws = self._draws(noise, extent, phase, "")
-        state = train(state, update, draws, self._engine.device, span, BLOCK, on_updates)
+        specs = self._algorithm.noise_spec(self._batch_size)
+        sample_block = self._sampling(specs, extent, phase, "")
+        state = train(state, update, sample_block, self._engine.device, span, BLOCK, on_updates)
         if isinstance(self._algorithm, Improving):
             state = self._improve(self._algorithm, state, data, extent, phase, span[1], on_block)
         return state
@@ -117,58 +117,58 @@ class Trainer:
         updates: int,
         on_block: OnBlock,
     ) -> State:
-        def improve(state: State, draws: Draws) -> tuple[State, Tensor]:
-            rows, _, _, state = self._choose(data, state, draws)
-            return algorithm.improve(self._engine.fuse, state, unpack(rows, self._layout), draws)
+        def improve(state: State, sampled: Noise) -> tuple[State, Tensor]:
+            rows, _, _, state = self._choose(data, state, sampled)
+            return algorithm.improve(self._engine.fuse, state, unpack(rows, self._layout), sampled)
 
         def on_improvement(state: State, done: int, metrics: list[float]) -> None:
             names = algorithm.improvement_metric_names
             on_block(state, updates + done, dict(zip(names, metrics, strict=True)))
 
-        draws = self._draws(
-            algorithm.improvement_noise(self._batch_size), extent, phase, "-improvement"
+        sample_block = self._sampling(
+            algorithm.improvement_noise_spec(self._batch_size), extent, phase, "-improvement"
         )
         span = (0, algorithm.improvements)
         with torch.no_grad():
             state = algorithm.begin_improvement(state)
-            return train(state, improve, draws, self._engine.device, span, 1, on_improvement)
+            return train(state, improve, sample_block, self._engine.device, span, 1, on_improvement)
 
     def _update(self, data: Data) -> Update:
         """One update on rows that the sampler chooses; the choice's metrics join the update's."""
 
-        def update(state: State, draws: Draws) -> tuple[State, Tensor]:
-            rows, imitated, more, state = self._choose(data, state, draws)
+        def update(state: State, sampled: Noise) -> tuple[State, Tensor]:
+            rows, imitated, more, state = self._choose(data, state, sampled)
             # Without the sampler's entries: the step is compiled once, whatever the sampler.
             own = {name: x for name, x in state.items() if not name.startswith("sampler_")}
-            new, metrics = self._step(own, rows, imitated, draws)
+            new, metrics = self._step(own, rows, imitated, sampled)
             return {**state, **new}, metrics if more is None else torch.cat((metrics, more))
 
         return update
 
     def _choose(
-        self, data: Data, state: State, draws: Draws
+        self, data: Data, state: State, sampled: Noise
     ) -> tuple[Tensor, Tensor, Tensor | None, State]:
-        gathered = self._sampler.gather(state, data, draws)
-        chosen = self._select(state, gathered, draws)
+        gathered = self._sampler.gather(state, data, sampled)
+        chosen = self._select(state, gathered, sampled)
         rows = data.rows.index_select(0, chosen.rows)
         same = chosen.imitated is chosen.rows
         imitated = rows if same else data.rows.index_select(0, chosen.imitated)
         return rows, imitated, chosen.metrics, {**state, **chosen.changed}
 
-    def _draws(
-        self, noise: Mapping[str, Draw], extent: Extent, phase: Phase, kind: str
-    ) -> DrawBlock:
-        wanted = {**noise, **self._sampler.noise()}
+    def _sampling(
+        self, specs: Mapping[str, NoiseSpec], extent: Extent, phase: Phase, kind: str
+    ) -> SampleBlock:
+        every = {**specs, **self._sampler.noise_spec()}
         purpose, deployment = phase.purpose + kind, phase.deployment
 
-        def draw_block(block: int, count: int) -> Mapping[str, NDArray[np.generic]]:
+        def sample_block(block: int, count: int) -> Mapping[str, NDArray[np.generic]]:
             key = (phase.minibatch_key, deployment, block)
             minibatches = self._random(f"{purpose}-minibatches", *key)
-            indices = self._sampler.draw(minibatches, count, extent)
+            indices = self._sampler.sample_indices(minibatches, count, extent)
             noise = self._random(f"{purpose}-noise", deployment, block)
-            return {**indices, **draw(noise, wanted, count)}
+            return {**indices, **sample_noise(noise, every, count)}
 
-        return draw_block
+        return sample_block
 
 
 def fused_update(engine: Engine, algorithm: Algorithm, layout: RowLayout) -> Step:
@@ -176,8 +176,8 @@ def fused_update(engine: Engine, algorithm: Algorithm, layout: RowLayout) -> Ste
     whatever samples for them.
     """
     return engine.fuse(
-        lambda state, rows, imitated, draws: algorithm.update(
-            state, unpack(rows, layout), unpack(imitated, layout), draws
+        lambda state, rows, imitated, sampled: algorithm.update(
+            state, unpack(rows, layout), unpack(imitated, layout), sampled
         )
     )
 

@@ -13,8 +13,8 @@ from torch import Tensor
 from torch.nn.functional import mse_loss
 
 from otc_dist.algorithms.interface import Batch
-from otc_dist.steps.draws import Draw, Draws
 from otc_dist.steps.networks import Mlp, adam, value_and_gradient
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.standardisation import moments
 from otc_dist.steps.state import State
 
@@ -65,10 +65,10 @@ class Embedding:
             state[f"{name}_mean"], state[f"{name}_std"] = mean.numpy(), std.numpy()
         return state
 
-    def noise(self, batch_size: int) -> Mapping[str, Draw]:
-        return {"embedding": Draw("normal", (batch_size, self.size))}
+    def noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
+        return {"embedding": NoiseSpec("normal", (batch_size, self.size))}
 
-    def update(self, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def update(self, state: State, batch: Batch, noise: Noise) -> tuple[State, Tensor]:
         """One Adam step on  mean (a - a_hat)^2 + kl_weight KL  of standardised transitions."""
 
         def loss(network: Tensor) -> Tensor:

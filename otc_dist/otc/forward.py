@@ -18,9 +18,9 @@ from otc_dist.description import DynamicsSection
 from otc_dist.otc.distances.change import Changes
 from otc_dist.otc.distances.interface import Report
 from otc_dist.otc.samplers.interface import Random
-from otc_dist.steps.draws import Draws, to_tensors
 from otc_dist.steps.engine import Engine
 from otc_dist.steps.networks import Mlp, descend, fresh_state
+from otc_dist.steps.noise import Noise, to_tensors
 from otc_dist.steps.state import State
 from otc_dist.steps.training import BLOCK, OnBlock, train
 from otc_dist.transitions import RowLayout
@@ -96,16 +96,16 @@ class Descent:
         """
         step, device = self.engine.fuse(self.regression.update), self.engine.device
 
-        def update(state: State, draws: Draws) -> tuple[State, Tensor]:
-            return step(state, *examples(draws["batch"]))
+        def update(state: State, sampled: Noise) -> tuple[State, Tensor]:
+            return step(state, *examples(sampled["batch"]))
 
-        def draw_block(number: int, length: int) -> Mapping[str, NDArray[np.generic]]:
+        def sample_block(number: int, length: int) -> Mapping[str, NDArray[np.generic]]:
             shape = (length, self.batch_size)
             return {"batch": random("minibatches", number).integers(0, count, shape)}
 
         state = to_tensors(self.regression.initial_state(random("initial")), device)
         record, span = self.engine.record(update), (0, updates)
-        train(state, record, draw_block, device, span, block, on_block)
+        train(state, record, sample_block, device, span, block, on_block)
 
 
 class Forward:

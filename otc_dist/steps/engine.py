@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 
 from otc_dist.description import EngineName
-from otc_dist.steps.draws import Draws
+from otc_dist.steps.noise import Noise
 from otc_dist.steps.state import P, State, T
 from otc_dist.system.cache import compiled_root
 from otc_dist.terminal.errors import UserError
 
-Update = Callable[[State, Draws], tuple[State, Tensor]]
+Update = Callable[[State, Noise], tuple[State, Tensor]]
 Resolved = Literal["compiled", "cuda-graph", "eager"]
 VARIANTS = 256  # of one function in a process: agents differ in sizes, arms in samplers
 # torch.cond's branches are part of the cache's key, but torch has not declared it cacheable.
@@ -170,14 +170,14 @@ class _CudaGraph:
         self._update = update
         self._graph: torch.cuda.CUDAGraph | None = None
         self._state: State = {}
-        self._draws: dict[str, Tensor] = {}
+        self._sampled: dict[str, Tensor] = {}
         self._metrics = torch.empty(0)
 
-    def __call__(self, state: State, draws: Draws) -> tuple[State, Tensor]:
+    def __call__(self, state: State, sampled: Noise) -> tuple[State, Tensor]:
         if self._graph is None:
-            self._record(state, draws)
-        for name, tensor in draws.items():
-            self._draws[name].copy_(tensor)
+            self._record(state, sampled)
+        for name, tensor in sampled.items():
+            self._sampled[name].copy_(tensor)
         for name, tensor in state.items():
             if tensor is not self._state[name]:
                 self._state[name].copy_(tensor)
@@ -185,17 +185,17 @@ class _CudaGraph:
         self._graph.replay()
         return self._state, self._metrics
 
-    def _record(self, state: State, draws: Draws) -> None:
+    def _record(self, state: State, sampled: Noise) -> None:
         self._state = {name: tensor.clone() for name, tensor in state.items()}
-        self._draws = {name: tensor.clone() for name, tensor in draws.items()}
+        self._sampled = {name: tensor.clone() for name, tensor in sampled.items()}
         stream = torch.cuda.Stream()  # type: ignore[no-untyped-call]
         stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(stream):
             for _ in range(self.WARM_UP):
-                self._update(self._state, self._draws)
+                self._update(self._state, self._sampled)
         torch.cuda.current_stream().wait_stream(stream)
         self._graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(self._graph):
-            new, self._metrics = self._update(self._state, self._draws)
+            new, self._metrics = self._update(self._state, self._sampled)
             for name, tensor in new.items():
                 self._state[name].copy_(tensor)

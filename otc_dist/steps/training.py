@@ -1,4 +1,4 @@
-"""The training loop: blocks of updates with their random numbers drawn in bulk."""
+"""The training loop: blocks of updates with their random numbers sampled in bulk."""
 
 from collections.abc import Callable, Mapping
 
@@ -6,20 +6,20 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from otc_dist.steps.draws import to_tensors
 from otc_dist.steps.engine import Update
+from otc_dist.steps.noise import to_tensors
 from otc_dist.steps.state import State
 
 BLOCK = 100  # updates whose random numbers share one key, where an update takes milliseconds
 
-DrawBlock = Callable[[int, int], Mapping[str, NDArray[np.generic]]]
+SampleBlock = Callable[[int, int], Mapping[str, NDArray[np.generic]]]
 OnBlock = Callable[[State, int, list[float]], None]
 
 
 def train(
     state: State,
     update: Update,
-    draw_block: DrawBlock,
+    sample_block: SampleBlock,
     device: torch.device,
     span: tuple[int, int],
     block: int,
@@ -29,7 +29,7 @@ def train(
 
     Args:
         block: updates whose random numbers share one key.
-        draw_block: the random arrays (count, ...) of block b, from (b, count). A function of the
+        sample_block: the random arrays (count, ...) of block b, from (b, count). A function of the
             block's number alone, so that training goes on after an interruption as if none
             had been.
         on_block: called after each block with the state, updates done, and the block's mean
@@ -40,11 +40,11 @@ def train(
     """
     for first in range(span[0], span[1], block):
         count = min(block, span[1] - first)
-        draws = to_tensors(draw_block(first // block, count), device)
-        state, total = update(state, {name: array[0] for name, array in draws.items()})
+        sampled = to_tensors(sample_block(first // block, count), device)
+        state, total = update(state, {name: array[0] for name, array in sampled.items()})
         total = total.clone()
         for index in range(1, count):
-            state, metrics = update(state, {name: array[index] for name, array in draws.items()})
+            state, metrics = update(state, {name: array[index] for name, array in sampled.items()})
             total += metrics
         on_block(state, first + count, (total / count).tolist())
     return state

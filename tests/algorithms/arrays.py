@@ -36,5 +36,5 @@ def double(arrays: dict[str, np.ndarray]) -> State:
 
 
 def first(arrays: dict[str, np.ndarray]) -> State:
-    """What `draw` gave for one update."""
+    """What `sample_noise` gave for one update."""
     return {name: tensor[0] for name, tensor in double(arrays).items()}

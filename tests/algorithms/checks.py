@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from otc_dist.algorithms.interface import Algorithm, Batch
-from otc_dist.steps.draws import draw
 from otc_dist.steps.engine import Engine
+from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import P, State, T
 
 from ..references import Standardised
@@ -59,8 +59,8 @@ def assert_equals_plain(
     random = np.random.default_rng(1)
     for _ in range(UPDATES):
         batch = batches(random, *sizes, BATCH)
-        drawn = first(draw(random, algorithm.noise(BATCH), 1))
-        noise = {name: spread * tensor for name, tensor in drawn.items()}
+        sampled = first(sample_noise(random, algorithm.noise_spec(BATCH), 1))
+        noise = {name: spread * tensor for name, tensor in sampled.items()}
         state, metrics = algorithm.update(state, batch, batch, noise)
         expected = plain.update(batch, noise)
         np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10, atol=1e-12)
@@ -84,7 +84,7 @@ def assert_pure(
     """An update leaves its arguments alone, changes all but `constant`, and passes on the rest."""
     before = {name: tensor.clone() for name, tensor in state.items()}
     other = torch.ones(3)
-    noise = first(draw(np.random.default_rng(1), algorithm.noise(BATCH), 1))
+    noise = first(sample_noise(np.random.default_rng(1), algorithm.noise_spec(BATCH), 1))
     new, _ = algorithm.update({**state, "sampler_weights": other}, batch, batch, noise)
     assert new.pop("sampler_weights") is other
     for name, tensor in before.items():
@@ -101,7 +101,7 @@ def assert_engines_agree(
         Batch(*(field.float() for field in batches(random, *sizes, BATCH)))
         for _ in range(FLOAT32_UPDATES)
     ]
-    draws = draw(random, algorithm.noise(BATCH), len(inputs))
+    sampled = sample_noise(random, algorithm.noise_spec(BATCH), len(inputs))
     initial = algorithm.initial_state(random, inputs[0])
     metrics = []
     # Compiled first: what an eager update would prepare may not compile.
@@ -109,7 +109,7 @@ def assert_engines_agree(
         state: State = {name: torch.from_numpy(array) for name, array in initial.items()}
         update, history = engine.fuse(algorithm.update), []
         for index, batch in enumerate(inputs):
-            noise = {name: torch.from_numpy(array[index]) for name, array in draws.items()}
+            noise = {name: torch.from_numpy(array[index]) for name, array in sampled.items()}
             state, values = update(state, batch, batch, noise)
             history.append(values)
         metrics.append(torch.stack(history).numpy())

@@ -9,7 +9,7 @@ import torch
 
 from otc_dist.algorithms.awac import Awac, AwacSection
 from otc_dist.algorithms.interface import Batch
-from otc_dist.steps.draws import draw
+from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 
 from .. import references_awac
@@ -63,7 +63,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
     state = assert_equals_plain(awac, plain, state, (s, a))
 
     states = torch.from_numpy(random.standard_normal((6, s)))
-    noise = first(draw(random, awac.value_noise(6, 4), 1))
+    noise = first(sample_noise(random, awac.value_noise_spec(6, 4), 1))
     with torch.no_grad():
         actions, values = plain.act(states), plain.value(states, noise["value"])
     np.testing.assert_allclose(awac.act(state, states, {}), actions, atol=1e-10)
@@ -83,7 +83,7 @@ def test_target_at_a_terminal_state_is_the_reward() -> None:
     awac = make(4, 2, (8, 8))
     state, batch = start(awac, random)
     batch = batch._replace(terminated=torch.ones(BATCH).double())
-    noise = first(draw(random, awac.noise(BATCH), 1))
+    noise = first(sample_noise(random, awac.noise_spec(BATCH), 1))
     assert torch.equal(awac.target(state, batch, noise["target"]), batch.reward)
 
 

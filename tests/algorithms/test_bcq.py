@@ -6,7 +6,7 @@ import torch
 
 from otc_dist.algorithms.bcq import Bcq, BcqSection
 from otc_dist.algorithms.interface import Batch
-from otc_dist.steps.draws import draw
+from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 
 from .. import references
@@ -66,7 +66,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
     plain.load(state)
     for _ in range(UPDATES):
         batch = random_batch(random, s, a)
-        noise = first(draw(random, bcq.noise(BATCH), 1))
+        noise = first(sample_noise(random, bcq.noise_spec(BATCH), 1))
         state, metrics = bcq.update(state, batch, batch, noise)
         expected = plain.update(batch, noise)
         np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10, atol=1e-12)
@@ -75,8 +75,8 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
     assert float(state["updates"]) == UPDATES
 
     states = torch.from_numpy(random.standard_normal((6, s)))
-    wanted = {**bcq.acting_noise(6), **bcq.value_noise(6, 4)}
-    noise = first(draw(random, wanted, 1))
+    specs = {**bcq.acting_noise_spec(6), **bcq.value_noise_spec(6, 4)}
+    noise = first(sample_noise(random, specs, 1))
     with torch.no_grad():
         actions, values = plain.act(states, noise["act"]), plain.value(states, noise["value"])
     np.testing.assert_allclose(bcq.act(state, states, noise), actions, atol=1e-10)
@@ -89,7 +89,7 @@ def test_update_leaves_its_arguments_alone() -> None:
     state = double(bcq.initial_state(random, random_batch(random, 4, 2)))
     before = {name: tensor.clone() for name, tensor in state.items()}
     batch = random_batch(random, 4, 2)
-    new, _ = bcq.update(state, batch, batch, first(draw(random, bcq.noise(BATCH), 1)))
+    new, _ = bcq.update(state, batch, batch, first(sample_noise(random, bcq.noise_spec(BATCH), 1)))
     for name, tensor in before.items():
         assert torch.equal(state[name], tensor), name
         assert not torch.equal(new[name], tensor), name
@@ -100,7 +100,7 @@ def test_target_at_a_terminal_state_is_the_reward() -> None:
     bcq = make(4, 2, (8, 8))
     state = double(bcq.initial_state(random, random_batch(random, 4, 2)))
     batch = random_batch(random, 4, 2)._replace(terminated=torch.ones(BATCH).double())
-    noise = first(draw(random, bcq.noise(BATCH), 1))
+    noise = first(sample_noise(random, bcq.noise_spec(BATCH), 1))
     assert torch.equal(bcq.target(state, batch, noise["target"]), batch.reward)
 
 
@@ -111,5 +111,5 @@ def test_actions_stay_within_bounds() -> None:
     state["vae"] = state["vae"] * 50  # saturates the decoder
     state["actor"] = state["actor"] * 50
     states = torch.from_numpy(random.standard_normal((64, 4)))
-    actions = bcq.act(state, states, first(draw(random, bcq.acting_noise(64), 1)))
+    actions = bcq.act(state, states, first(sample_noise(random, bcq.acting_noise_spec(64), 1)))
     assert actions.abs().max() == 1.0

@@ -9,8 +9,8 @@ import torch
 from otc_dist.algorithms.bremen.advantages import generalised_advantages
 from otc_dist.algorithms.bremen.algorithm import Bremen, BremenSection
 from otc_dist.algorithms.interface import Batch, unpack
-from otc_dist.steps.draws import draw
 from otc_dist.steps.engine import Engine
+from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
@@ -76,8 +76,8 @@ def taught(bremen: Bremen, random: np.random.Generator) -> tuple[State, Batch]:
 
 
 def improved(bremen: Bremen, state: State, batch: Batch, seed: int) -> tuple[State, torch.Tensor]:
-    wanted = bremen.improvement_noise(len(batch.observation))
-    noise = first(draw(np.random.default_rng(seed), wanted, 1))
+    specs = bremen.improvement_noise_spec(len(batch.observation))
+    noise = first(sample_noise(np.random.default_rng(seed), specs, 1))
     with torch.no_grad():
         return bremen.improve(plainly, state, batch, noise)
 
@@ -134,7 +134,7 @@ def test_improvements_equal_the_plain_version_in_float64(
     plain = plain_of(bremen, state, offline)
     for _ in range(3):
         batch = random_batch(random, s, a, BATCH)
-        noise = first(draw(random, bremen.improvement_noise(BATCH), 1))
+        noise = first(sample_noise(random, bremen.improvement_noise_spec(BATCH), 1))
         with torch.no_grad():
             state, metrics = bremen.improve(plainly, state, batch, noise)
         expected = plain.improve(batch.observation, noise)
@@ -212,7 +212,7 @@ def test_improvements_raise_the_reward_in_the_models() -> None:
     random = np.random.default_rng(5)
     state, batch = taught(bremen, random)
     state = bremen.begin_improvement(state)
-    judged = first(draw(random, bremen.improvement_noise(len(batch.action)), 1))
+    judged = first(sample_noise(random, bremen.improvement_noise_spec(len(batch.action)), 1))
     before = bremen.rollouts(plainly, state, batch, judged).rewards.mean()
     for seed in range(20):
         state, _ = improved(bremen, state, batch, seed)
@@ -222,7 +222,7 @@ def test_improvements_raise_the_reward_in_the_models() -> None:
 def test_where_a_rollout_ends_another_starts_from_a_state_of_the_batch() -> None:
     bremen = make(4, 2, (8, 8), horizon=20)
     state, batch = start(bremen, np.random.default_rng(6))
-    noise = first(draw(np.random.default_rng(0), bremen.improvement_noise(BATCH), 1))
+    noise = first(sample_noise(np.random.default_rng(0), bremen.improvement_noise_spec(BATCH), 1))
     rollouts = bremen.rollouts(plainly, state, batch, noise)
     following = torch.cat((rollouts.observations[1:], rollouts.last.unsqueeze(0)))
     ended = rollouts.ends.bool()
@@ -305,8 +305,8 @@ def test_compiled_improvements_agree_with_eager(monkeypatch: pytest.MonkeyPatch)
         packed = torch.cat([x.reshape(BATCH, -1).to(dtype) for x in batch], 1)
         rows, history = unpack(packed, RowLayout(4, 2)), []
         for seed in range(3):
-            wanted = bremen.improvement_noise(BATCH)
-            noise = first(draw(np.random.default_rng(seed), wanted, 1))
+            specs = bremen.improvement_noise_spec(BATCH)
+            noise = first(sample_noise(np.random.default_rng(seed), specs, 1))
             noise = {name: tensor.to(dtype) for name, tensor in noise.items()}
             with torch.no_grad():
                 improving, metrics = bremen.improve(engine.fuse, improving, rows, noise)

@@ -25,7 +25,7 @@ from otc_dist.envs import registry
 from otc_dist.learner import checkpoint
 from otc_dist.learner.learner import Learner
 from otc_dist.spec import AgentSpec
-from otc_dist.steps.draws import Draw, draw
+from otc_dist.steps.noise import NoiseSpec, sample_noise
 from otc_dist.steps.state import State
 from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Transitions
@@ -120,16 +120,16 @@ class Trial:
         batch = make(self.random, spec.observation_size, actions, size)
         return Batch(*(field.to(dtype or self.dtype) for field in batch))
 
-    def draws(self, wanted: Mapping[str, Draw]) -> dict[str, Tensor]:
+    def noise(self, specs: Mapping[str, NoiseSpec]) -> dict[str, Tensor]:
         """Noise for one call."""
-        arrays = draw(np.random.default_rng(1), wanted, 1)
+        arrays = sample_noise(np.random.default_rng(1), specs, 1)
         return {key: torch.from_numpy(array[0]).to(self.dtype) for key, array in arrays.items()}
 
     def cast(self, tensor: Tensor) -> Tensor:
         return tensor.to(self.dtype) if tensor.is_floating_point() else tensor
 
     def update(self, state: State) -> tuple[State, Tensor]:
-        noise = self.draws(self.algorithm.noise(BATCH))
+        noise = self.noise(self.algorithm.noise_spec(BATCH))
         return self.algorithm.update(state, self.batch, self.batch, noise)
 
 
@@ -168,12 +168,12 @@ def test_actions_and_values_have_one_row_a_state(name: str, dtype: torch.dtype) 
     trial, count = Trial(name, dtype), 7
     algorithm, states = trial.algorithm, trial.batch.observation[:count]
     state = trial.update(trial.state)[0]
-    actions = algorithm.act(state, states, trial.draws(algorithm.acting_noise(count)))
+    actions = algorithm.act(state, states, trial.noise(algorithm.acting_noise_spec(count)))
     assert (actions.shape, actions.dtype) == ((count, trial.spec.action_size), dtype)
     assert isinstance(algorithm, Critic) == SECTIONS[name].has_q
     if isinstance(algorithm, Critic):
         for samples in (1, 3):
-            noise = trial.draws(algorithm.value_noise(count, samples))
+            noise = trial.noise(algorithm.value_noise_spec(count, samples))
             values = algorithm.value(state, states, noise)
             assert (values.shape, values.dtype) == ((count,), dtype)
             assert values.isfinite().all()
@@ -211,7 +211,7 @@ def test_an_improvement_is_a_pure_function(name: str) -> None:
         return
     begun = algorithm.begin_improvement({**trial.state, "sampler_ratio": torch.ones(3)})
     before = {key: tensor.clone() for key, tensor in begun.items()}
-    noise = trial.draws(algorithm.improvement_noise(BATCH))
+    noise = trial.noise(algorithm.improvement_noise_spec(BATCH))
     new, metrics = algorithm.improve(plainly, begun, trial.batch, noise)
     assert metrics.shape == (len(algorithm.improvement_metric_names),)
     assert metrics.isfinite().all()

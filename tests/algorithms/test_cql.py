@@ -8,7 +8,7 @@ import torch
 
 from otc_dist.algorithms.cql import Cql, CqlSection
 from otc_dist.algorithms.interface import Batch
-from otc_dist.steps.draws import draw
+from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 
 from .. import references_cql
@@ -52,7 +52,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
     state = assert_equals_plain(cql, plain, state, (s, a))
 
     states = torch.from_numpy(random.standard_normal((6, s)))
-    noise = first(draw(random, cql.value_noise(6, 4), 1))
+    noise = first(sample_noise(random, cql.value_noise_spec(6, 4), 1))
     with torch.no_grad():
         actions, values = plain.act(states), plain.value(states, noise["value"])
     np.testing.assert_allclose(cql.act(state, states, {}), actions, atol=1e-10)
@@ -72,7 +72,7 @@ def test_target_at_a_terminal_state_is_the_reward() -> None:
     cql = make(4, 2, (8, 8))
     state, batch = start(cql, random)
     batch = batch._replace(terminated=torch.ones(BATCH).double())
-    noise = first(draw(random, cql.noise(BATCH), 1))
+    noise = first(sample_noise(random, cql.noise_spec(BATCH), 1))
     there = cql.policy(state["actor"], batch.next_observation)
     assert torch.equal(cql.target(state, batch, there, noise["target"]), batch.reward)
 
@@ -102,7 +102,9 @@ def test_actions_stay_within_bounds_and_densities_finite_where_tanh_saturates() 
     state, batch = start(cql, random)
     state["actor"] = state["actor"] * 1000
     assert cql.act(state, batch.observation, {}).abs().max() == 1.0
-    _, metrics = cql.update(state, batch, batch, first(draw(random, cql.noise(BATCH), 1)))
+    _, metrics = cql.update(
+        state, batch, batch, first(sample_noise(random, cql.noise_spec(BATCH), 1))
+    )
     assert metrics.isfinite().all()
 
 

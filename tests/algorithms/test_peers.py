@@ -20,8 +20,8 @@ from otc_dist.algorithms.critics import td_target
 from otc_dist.algorithms.discrete_cql import DiscreteCql, DiscreteCqlSection
 from otc_dist.algorithms.interface import Batch
 from otc_dist.algorithms.td3bc import Td3Bc, Td3BcSection
-from otc_dist.steps.draws import draw
 from otc_dist.steps.networks import Mlp
+from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 
 from .arrays import double, first, random_batch, random_choices
@@ -132,8 +132,8 @@ def start(algorithm: Any, make: Any = random_batch, actions: int = A) -> State:
     return {**state, **targets}
 
 
-def drawn(random: np.random.Generator, algorithm: Any) -> dict[str, Tensor]:
-    return first(draw(random, algorithm.noise(BATCH), 1))
+def sampled_for(random: np.random.Generator, algorithm: Any) -> dict[str, Tensor]:
+    return first(sample_noise(random, algorithm.noise_spec(BATCH), 1))
 
 
 def test_bcq(noise: Noise) -> None:
@@ -168,10 +168,10 @@ def test_bcq(noise: Noise) -> None:
     modules.vae_decoder._fc = nn.Sequential(modules.vae_decoder._fc, nn.Tanh())
     random = np.random.default_rng(1)
     for count in range(1, UPDATES + 1):
-        batch, draws = random_batch(random, S, A, BATCH), drawn(random, bcq)
-        noise.will_be(draws["vae"], draws["target"].flatten(0, 1), draws["actor"])
+        batch, sampled = random_batch(random, S, A, BATCH), sampled_for(random, bcq)
+        noise.will_be(sampled["vae"], sampled["target"].flatten(0, 1), sampled["actor"])
         losses = peer.impl.update(peer.batch(batch), count)
-        state, metrics = bcq.update(state, batch, batch, draws)
+        state, metrics = bcq.update(state, batch, batch, sampled)
         expected = [losses[key] for key in ("vae_loss", "critic_loss", "actor_loss")]
         np.testing.assert_allclose(metrics[:3].numpy(), expected, rtol=ROUNDED)
     for network in networks(state):
@@ -200,10 +200,10 @@ def test_td3bc(noise: Noise) -> None:
         peer.take(*network)
     random = np.random.default_rng(1)
     for count in range(1, UPDATES + 1):
-        batch, draws = random_batch(random, S, A, BATCH), drawn(random, td3bc)
-        noise.will_be(draws["target"])
+        batch, sampled = random_batch(random, S, A, BATCH), sampled_for(random, td3bc)
+        noise.will_be(sampled["target"])
         losses = peer.impl.update(peer.batch(batch), count)
-        state, metrics = td3bc.update(state, batch, batch, draws)
+        state, metrics = td3bc.update(state, batch, batch, sampled)
         # Ours counts the actor's loss twice every other update.
         expected = [losses["critic_loss"], 2 * losses.get("actor_loss", 0.0)]
         np.testing.assert_allclose(metrics[:2].numpy(), expected, rtol=ROUNDED)
@@ -231,7 +231,7 @@ def test_awac(noise: Noise) -> None:
     peer.take(modules.q_funcs, awac.critics.network, state["critic"])
 
     random = np.random.default_rng(1)
-    batch, draws = random_batch(random, S, A, BATCH), drawn(random, awac)
+    batch, sampled = random_batch(random, S, A, BATCH), sampled_for(random, awac)
     theirs = peer.batch(batch)
     values = torch.from_numpy(random.standard_normal(BATCH))
     critic_loss = peer.impl.compute_critic_loss(theirs, values.unsqueeze(1)).critic_loss
@@ -239,9 +239,9 @@ def test_awac(noise: Noise) -> None:
     mine = awac.critics.loss(state["critic"], batch, target)
     torch.testing.assert_close(mine, critic_loss.double(), rtol=ROUNDED, atol=0)
 
-    noise.will_be(draws["actor"].unsqueeze(0))
+    noise.will_be(sampled["actor"].unsqueeze(0))
     actor_loss = peer.impl.compute_actor_loss(theirs, modules.policy(batch.observation)).actor_loss
-    weights = awac.weights(awac.advantages(state, batch, draws["actor"]))
+    weights = awac.weights(awac.advantages(state, batch, sampled["actor"]))
     assert weights.std() > 0.1
     torch.testing.assert_close(awac.actor_loss(state["actor"], batch, weights), actor_loss / BATCH)
 
@@ -264,31 +264,34 @@ def test_cql(noise: Noise, monkeypatch: pytest.MonkeyPatch) -> None:
     peer.take(modules.q_funcs, cql.critics.network, state["critic"])
 
     random = np.random.default_rng(1)
-    batch, draws = random_batch(random, S, A, BATCH), drawn(random, cql)
+    batch, sampled = random_batch(random, S, A, BATCH), sampled_for(random, cql)
     theirs = peer.batch(batch)
     values = torch.from_numpy(random.standard_normal(BATCH))
     monkeypatch.setattr(
         torch.Tensor,
         "uniform_",
-        lambda tensor, low, high: tensor + low + (high - low) * draws["random"].flatten(0, 1),
+        lambda tensor, low, high: tensor + low + (high - low) * sampled["random"].flatten(0, 1),
     )
-    noise.will_be(draws["current"].transpose(0, 1), draws["next"].transpose(0, 1))
+    noise.will_be(sampled["current"].transpose(0, 1), sampled["next"].transpose(0, 1))
     critic_loss = peer.impl.compute_critic_loss(theirs, values.unsqueeze(1)).critic_loss
     here = cql.policy(state["actor"], batch.observation)
     there = cql.policy(state["actor"], batch.next_observation)
     mine = cql.critic_loss(
-        state["critic"], batch, td_target(batch, 0.99, values), *cql.candidates(here, there, draws)
+        state["critic"],
+        batch,
+        td_target(batch, 0.99, values),
+        *cql.candidates(here, there, sampled),
     )
     torch.testing.assert_close(mine, critic_loss, rtol=ROUNDED, atol=0)
 
-    noise.will_be(draws["actor"])
+    noise.will_be(sampled["actor"])
     actor_loss = peer.impl.compute_actor_loss(theirs, modules.policy(batch.observation)).actor_loss
     mine = cql.actor_loss(
         state["actor"],
         state["critic"],
         torch.tensor(0.7).double(),
         batch.observation,
-        draws["actor"],
+        sampled["actor"],
     )
     torch.testing.assert_close(mine, actor_loss)
 

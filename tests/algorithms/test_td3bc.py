@@ -6,7 +6,7 @@ import torch
 
 from otc_dist.algorithms.interface import Batch
 from otc_dist.algorithms.td3bc import Td3Bc, Td3BcSection
-from otc_dist.steps.draws import draw
+from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 
 from .. import references_td3bc
@@ -73,7 +73,7 @@ def test_actor_and_targets_wait_for_every_second_update() -> None:
     td3bc = make(4, 2, (8, 8))
     state, batch = start(td3bc, random)
     for count in range(1, 5):
-        noise = first(draw(random, td3bc.noise(BATCH), 1))
+        noise = first(sample_noise(random, td3bc.noise_spec(BATCH), 1))
         new, metrics = td3bc.update(state, batch, batch, noise)
         unchanged = {name for name in state if torch.equal(new[name], state[name])}
         assert unchanged == (FROZEN if count % 2 == 0 else FROZEN | DELAYED)
@@ -86,7 +86,7 @@ def test_target_at_a_terminal_state_is_the_reward() -> None:
     td3bc = make(4, 2, (8, 8))
     state, batch = start(td3bc, random)
     batch = batch._replace(terminated=torch.ones(BATCH).double())
-    noise = first(draw(random, td3bc.noise(BATCH), 1))
+    noise = first(sample_noise(random, td3bc.noise_spec(BATCH), 1))
     assert torch.equal(td3bc.target(state, batch, noise["target"]), batch.reward)
 
 

@@ -51,11 +51,11 @@ class Prepared:
         begun = sampler.begin(
             Held(state, data, self.extent, Engine("eager"), lambda *key: random)
         ).data
-        drawn = sampler.draw(random, 50, self.extent)
+        drawn = sampler.sample_indices(random, 50, self.extent)
         chosen = []
         for update in range(50):
-            draws = {name: torch.from_numpy(array[update]) for name, array in drawn.items()}
-            chosen.append(sampler.select(state, sampler.gather(state, begun, draws), draws))
+            sampled = {name: torch.from_numpy(array[update]) for name, array in drawn.items()}
+            chosen.append(sampler.select(state, sampler.gather(state, begun, sampled), sampled))
         return (
             begun,
             torch.cat([one.rows for one in chosen]),

@@ -89,7 +89,7 @@ def test_it_acts_as_its_learner_does(saved: dict[str, Saved], name: str) -> None
 def test_what_is_exported_acts_alike(
     saved: dict[str, Saved], tmp_path: Path, name: str, suffix: str
 ) -> None:
-    """For any number of observations, with the numbers that `act` draws as inputs."""
+    """For any number of observations, with the numbers that `act` needs as inputs."""
     run, path = saved[name], tmp_path / f"policy{suffix}"
     spec = run.spec
     if not spec.choices:  # the environments here have bounds of -1 and 1: nothing to scale
@@ -165,7 +165,7 @@ MISTAKES = {
         run,
         run.learner.description.with_assignments("algorithm={name='awac',hidden=[8,8]}").to_toml(),
     ),
-    "draws too many random numbers": lambda run: _description(
+    "needs too many random numbers": lambda run: _description(
         run,
         run.learner.description.with_assignments("algorithm.acting_candidates=9999999").to_toml(),
     ),

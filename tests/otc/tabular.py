@@ -17,7 +17,7 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.distances.value import ValueDistance
 from otc_dist.otc.samplers.correction import CorrectionSection
 from otc_dist.otc.samplers.interface import Extent
-from otc_dist.steps.draws import Draw, Draws, draw
+from otc_dist.steps.noise import Noise, NoiseSpec, sample_noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
@@ -98,10 +98,10 @@ class TabularCritic:
     def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
         return torch.from_numpy(Q)[observations[:, 0].long(), actions[:, 0].long()]
 
-    def value_noise(self, count: int, samples: int) -> dict[str, Draw]:
+    def value_noise_spec(self, count: int, samples: int) -> dict[str, NoiseSpec]:
         return {}
 
-    def value(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def value(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         return torch.from_numpy(Q.mean(1))[observations[:, 0].long()]
 
 
@@ -113,7 +113,7 @@ class Sets:
     offline: int
 
     @classmethod
-    def draw(cls, offline: Float, online: Float, seed: int = 0) -> "Sets":
+    def sample(cls, offline: Float, online: Float, seed: int = 0) -> "Sets":
         random = np.random.default_rng(seed)
         parts = []
         for dynamics, count in ((offline, 500_000), (online, 5000)):
@@ -143,9 +143,12 @@ def sampled_dynamics(sets: Sets, alpha: float, *, replace: bool, minibatches: in
     extent = Extent(sets.offline, sets.offline, len(sets.rows))
     random, chosen = np.random.default_rng(1), []
     for _ in range(minibatches):
-        arrays = {**sampler.draw(random, 1, extent), **draw(random, sampler.noise(), 1)}
-        draws = {name: torch.from_numpy(array[0]) for name, array in arrays.items()}
-        chosen.append(sampler.select({}, sampler.gather({}, data, draws), draws).rows.numpy())
+        arrays = {
+            **sampler.sample_indices(random, 1, extent),
+            **sample_noise(random, sampler.noise_spec(), 1),
+        }
+        sampled = {name: torch.from_numpy(array[0]) for name, array in arrays.items()}
+        chosen.append(sampler.select({}, sampler.gather({}, data, sampled), sampled).rows.numpy())
     return frequencies(sets.rows[np.concatenate(chosen)])
 
 

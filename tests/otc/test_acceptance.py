@@ -41,11 +41,11 @@ def drawn(acceptance: str, scores: np.ndarray, **settings: Any) -> np.ndarray:
     rows = torch.zeros(1200, 3)
     random = np.random.default_rng(0)
     begun = sampler.begin(held_by({}, Data(rows, rows[:, :0]), EXTENT, random))
-    indices = sampler.draw(random, 2000, EXTENT)
+    indices = sampler.sample_indices(random, 2000, EXTENT)
     counts = np.zeros(EXTENT.size, np.int64)
     for update in range(2000):
-        draws = {name: torch.from_numpy(array[update]) for name, array in indices.items()}
-        chosen = sampler.select({}, sampler.gather({}, begun.data, draws), draws)
+        sampled = {name: torch.from_numpy(array[update]) for name, array in indices.items()}
+        chosen = sampler.select({}, sampler.gather({}, begun.data, sampled), sampled)
         assert chosen.rows.shape == (BATCH,) and torch.equal(chosen.rows, chosen.imitated)
         counts += np.bincount(chosen.rows.numpy(), minlength=EXTENT.size)
     return counts
@@ -91,8 +91,8 @@ def test_a_batch_holds_as_much_online_data_as_described() -> None:
 
     sampler = create_sampler(setting(section), 450)
     for seed in range(20):
-        draws = one_update(sampler, seed)
-        chosen = sampler.select({}, {}, draws)
+        sampled = one_update(sampler, seed)
+        chosen = sampler.select({}, {}, sampled)
         assert chosen.rows.shape == (16,)
         assert (chosen.rows[8:] >= 300).all()  # D_1 .. D_k
         assert (chosen.rows[:8] < 300).any()

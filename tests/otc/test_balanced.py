@@ -12,8 +12,8 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.samplers import balanced
 from otc_dist.otc.samplers.balanced import Balanced, BalancedSection
 from otc_dist.otc.samplers.interface import Extent, Selection
-from otc_dist.steps.draws import draw
 from otc_dist.steps.engine import Engine
+from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
@@ -55,17 +55,22 @@ def begun(sampler: Balanced, extent: Extent = FIRST, seed: int = 0) -> State:
     return {name: tensor.double() for name, tensor in found.items()}
 
 
-def draws_of(sampler: Balanced, random: np.random.Generator, extent: Extent) -> dict[str, Tensor]:
-    arrays = {**sampler.draw(random, 1, extent), **draw(random, sampler.noise(), 1)}
+def sampled_for(
+    sampler: Balanced, random: np.random.Generator, extent: Extent
+) -> dict[str, Tensor]:
+    arrays = {
+        **sampler.sample_indices(random, 1, extent),
+        **sample_noise(random, sampler.noise_spec(), 1),
+    }
     return {name: torch.from_numpy(array[0]) for name, array in arrays.items()}
 
 
 def one_update(
     sampler: Balanced, state: State, data: Data, random: np.random.Generator, extent: Extent
 ) -> tuple[State, Selection]:
-    draws = draws_of(sampler, random, extent)
+    sampled = sampled_for(sampler, random, extent)
     with torch.no_grad():
-        selection = sampler.select(state, sampler.gather(state, data, draws), draws)
+        selection = sampler.select(state, sampler.gather(state, data, sampled), sampled)
     return {**state, **selection.changed}, selection
 
 
@@ -96,13 +101,13 @@ class Plain:
         raw = self.network(rows[:, : S + A])[:, 0]
         return nn.functional.softplus(raw + np.log(np.e - 1))
 
-    def update(self, data: Data, draws: dict[str, Tensor]) -> list[int]:
+    def update(self, data: Data, sampled: dict[str, Tensor]) -> list[int]:
         running = np.cumsum(self.priorities)
-        noise = draws["priority"].numpy().astype(np.float64)
+        noise = sampled["priority"].numpy().astype(np.float64)
         points = (np.arange(BATCH) + noise) / BATCH * running[-1]
         chosen = [int(np.argmax(running > point)) for point in points]
 
-        w_off, w_on = self.w(data.rows[draws["offline"]]), self.w(data.rows[draws["online"]])
+        w_off, w_on = self.w(data.rows[sampled["offline"]]), self.w(data.rows[sampled["online"]])
         loss = (
             -torch.log(2 / (w_off + 1) + 1e-10) - torch.log(2 * w_on / (w_on + 1) + 1e-10)
         ).mean()
@@ -124,11 +129,11 @@ def test_weights_draws_and_priorities_equal_the_plain_version_in_float64() -> No
         if update == 70:  # the second deployment
             state = {**state, **sampler.begin(held_by(state, held(), SECOND, random)).changed}
             plain.deploy(SECOND)
-        draws = draws_of(sampler, random, extent)
+        sampled = sampled_for(sampler, random, extent)
         with torch.no_grad():
-            selection = sampler.select(state, sampler.gather(state, data, draws), draws)
+            selection = sampler.select(state, sampler.gather(state, data, sampled), sampled)
         state = {**state, **selection.changed}
-        assert selection.rows.tolist() == plain.update(data, draws)
+        assert selection.rows.tolist() == plain.update(data, sampled)
         weights = references.get_flat([plain.network])
         np.testing.assert_allclose(state["sampler_density"], weights, atol=1e-10)
         priorities = state["sampler_priorities"].view(-1)[:CAPACITY]
@@ -170,7 +175,7 @@ def test_the_newest_data_are_half_of_the_first_minibatch(extent: Extent) -> None
     authors = balanced.ONLINE_SHARE * 300 / ((1 - balanced.ONLINE_SHARE) * (extent.size - 300))
     assert float(per_row[300]) == pytest.approx(authors, abs=1e-6)
     assert (per_row[extent.size :] == 0).all()
-    rows = sampler.gather(state, held(), draws_of(sampler, random, extent))["numbers"]
+    rows = sampler.gather(state, held(), sampled_for(sampler, random, extent))["numbers"]
     assert int((rows >= 300).sum()) == 32
 
 
@@ -181,7 +186,7 @@ def test_a_later_deployment_gets_the_same_share() -> None:
         state, _ = one_update(sampler, state, data, random, FIRST)
     before = state["sampler_priorities"].clone()
     state = {**state, **sampler.begin(held_by(state, held(), SECOND, random)).changed}
-    rows = sampler.gather(state, data, draws_of(sampler, random, SECOND))["numbers"]
+    rows = sampler.gather(state, data, sampled_for(sampler, random, SECOND))["numbers"]
     assert abs(int((rows >= SECOND.newest).sum()) - 32) <= 1
     kept = state["sampler_priorities"].view(-1)[: SECOND.newest]
     assert torch.equal(kept, before.view(-1)[: SECOND.newest])
@@ -290,8 +295,8 @@ def test_compiled_equals_eager() -> None:
         select, random = Engine(name).fuse(sampler.select), np.random.default_rng(0)
         state, chosen = {**sampler.begin(held_by({"other": rows}, data, FIRST, random)).changed}, []
         for _ in range(30):
-            draws = draws_of(sampler, random, FIRST)
-            selection = select(state, sampler.gather(state, data, draws), draws)
+            sampled = sampled_for(sampler, random, FIRST)
+            selection = select(state, sampler.gather(state, data, sampled), sampled)
             state = {**state, **selection.changed}
             chosen.append(selection.rows.tolist())
         ends.append((chosen, state))

@@ -5,7 +5,7 @@ import torch
 
 from otc_dist.algorithms.interface import Batch
 from otc_dist.otc.embedding import Embedding, active_dimensions
-from otc_dist.steps.draws import draw
+from otc_dist.steps.noise import sample_noise
 
 from .. import references
 
@@ -35,7 +35,7 @@ def test_losses_and_weights_equal_the_plain_version_in_float64() -> None:
 
     for _ in range(120):
         batch = random_batch(random, 64)
-        drawn = draw(random, EMBEDDING.noise(64), 1)["embedding"][0]
+        drawn = sample_noise(random, EMBEDDING.noise_spec(64), 1)["embedding"][0]
         noise = torch.from_numpy(drawn).double()
         state, metrics = EMBEDDING.update(state, batch, {"embedding": noise})
         expected = plain.update(batch, noise)

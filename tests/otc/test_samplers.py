@@ -19,7 +19,7 @@ from otc_dist.otc.distances import create_distance
 from otc_dist.otc.distances.interface import Matching, Setting
 from otc_dist.otc.samplers.correction import CorrectionSection
 from otc_dist.otc.samplers.interface import Extent, Held
-from otc_dist.steps.draws import Draws, draw
+from otc_dist.steps.noise import Noise, sample_noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
@@ -84,9 +84,12 @@ def at(alpha: float, data: Data) -> Data:
     return data._replace(prepared={"alpha": torch.tensor(alpha).double()})
 
 
-def one_update(sampler: Any, seed: int) -> Draws:
+def one_update(sampler: Any, seed: int) -> Noise:
     random = np.random.default_rng(seed)
-    arrays = {**sampler.draw(random, 1, EXTENT), **draw(random, sampler.noise(), 1)}
+    arrays = {
+        **sampler.sample_indices(random, 1, EXTENT),
+        **sample_noise(random, sampler.noise_spec(), 1),
+    }
     return {
         name: torch.from_numpy(array if array.dtype == np.int64 else array.astype(np.float64))[0]
         for name, array in arrays.items()
@@ -94,7 +97,7 @@ def one_update(sampler: Any, seed: int) -> Draws:
 
 
 def plain_distances(
-    section: CorrectionSection, state: State, data: Data, candidates: Any, online: Any, noise: Draws
+    section: CorrectionSection, state: State, data: Data, candidates: Any, online: Any, noise: Noise
 ) -> np.ndarray:
     """d(s', s'*) one candidate at a time."""
     bcq = references.Bcq(S, A, (16, 16))
@@ -152,16 +155,16 @@ def test_otc_chooses_what_plain_loops_choose(
     )
     sampler, data, weights = matched(section), held(), state()
     for seed, alpha in enumerate([0.0, 1.0, 2.5]):
-        draws = one_update(sampler, seed)
+        sampled = one_update(sampler, seed)
         with torch.no_grad():
-            gathered = sampler.gather(weights, at(alpha, data), draws)
-            distances, _ = sampler.distances(weights, gathered, draws)
-            chosen = sampler.select(weights, gathered, draws).rows
-        candidates, online = draws["candidates"].numpy(), draws["references"].numpy()
-        expected = plain_distances(section, weights, data, candidates, online, draws)
+            gathered = sampler.gather(weights, at(alpha, data), sampled)
+            distances, _ = sampler.distances(weights, gathered, sampled)
+            chosen = sampler.select(weights, gathered, sampled).rows
+        candidates, online = sampled["candidates"].numpy(), sampled["references"].numpy()
+        expected = plain_distances(section, weights, data, candidates, online, sampled)
         np.testing.assert_allclose(distances, expected, rtol=1e-9, atol=1e-12)
         positions = references.prioritized(
-            expected, alpha, draws["priority"].numpy(), BATCH, section.with_replacement
+            expected, alpha, sampled["priority"].numpy(), BATCH, section.with_replacement
         )
         assert chosen.tolist() == candidates[positions].tolist()
 
@@ -169,7 +172,7 @@ def test_otc_chooses_what_plain_loops_choose(
 @pytest.mark.parametrize("distance", ["embedding", "value", "change"])
 def test_minibatches_come_from_where_they_should(distance: str) -> None:
     sampler = matched(settings(distance=distance))
-    drawn = sampler.draw(np.random.default_rng(0), 500, EXTENT)
+    drawn = sampler.sample_indices(np.random.default_rng(0), 500, EXTENT)
     assert drawn["candidates"].shape == (500, 64) and drawn["references"].shape == (500, 30)
     counts = np.bincount(drawn["candidates"].ravel(), minlength=400)  # B_k: all of it, uniformly
     assert len(counts) == 400 and stats.chisquare(counts).pvalue > 1e-3
@@ -182,13 +185,13 @@ def test_minibatches_come_from_where_they_should(distance: str) -> None:
 
 def test_a_small_online_set_is_taken_whole() -> None:
     sampler = matched(settings(references=2000))
-    drawn = sampler.draw(np.random.default_rng(0), 3, EXTENT)["references"]
+    drawn = sampler.sample_indices(np.random.default_rng(0), 3, EXTENT)["references"]
     assert [sorted(row) for row in drawn.tolist()] == [list(range(360, 400))] * 3
 
 
 def test_exact_matching_looks_at_all_of_the_newest_data() -> None:
     sampler = matched(settings(distance="value", matching="exact", references=3))
-    drawn = sampler.draw(np.random.default_rng(0), 3, EXTENT)["references"]
+    drawn = sampler.sample_indices(np.random.default_rng(0), 3, EXTENT)["references"]
     assert [sorted(row) for row in drawn.tolist()] == [list(range(360, 400))] * 3
     assert drawn[0].tolist() != drawn[1].tolist()  # in random order, for ties
 
@@ -197,9 +200,9 @@ def test_terminal_next_states_have_value_zero() -> None:
     data = held()
     data.rows[:, LAYOUT.terminated] = 1
     sampler = matched(settings(distance="value"))
-    draws = one_update(sampler, 0)
+    sampled = one_update(sampler, 0)
     with torch.no_grad():
-        distances, guarded = sampler.distances(state(), sampler.pairs(data, draws), draws)
+        distances, guarded = sampler.distances(state(), sampler.pairs(data, sampled), sampled)
     assert torch.equal(distances, torch.zeros(64).double())
     assert guarded == 64
 
@@ -209,10 +212,10 @@ def test_online_transitions_match_themselves_unless_excluded(distance: str) -> N
     for exclude, expected in ((False, True), (True, False)):
         section = settings(distance=distance, matching="exact", exclude_self=exclude)
         sampler, data = matched(section), held()
-        draws = one_update(sampler, 0)
-        own = draws["candidates"] >= EXTENT.newest
+        sampled = one_update(sampler, 0)
+        own = sampled["candidates"] >= EXTENT.newest
         with torch.no_grad():
-            distances, _ = sampler.distances(state(), sampler.pairs(data, draws), draws)
+            distances, _ = sampler.distances(state(), sampler.pairs(data, sampled), sampled)
         assert own.any()
         assert bool((distances[own] == 0).all()) is expected
 
@@ -220,12 +223,12 @@ def test_online_transitions_match_themselves_unless_excluded(distance: str) -> N
 def test_uniform_covers_all_and_online_only_covers_the_online_data() -> None:
     for name, first in (("uniform", 0), ("online-only", 300)):
         sampler = create_sampler(setting(settings(name=name)), 450)
-        draws = sampler.draw(np.random.default_rng(0), 2000, EXTENT)
-        assert draws["batch"].shape == (2000, BATCH)
-        counts = np.bincount(draws["batch"].ravel(), minlength=400)
+        sampled = sampler.sample_indices(np.random.default_rng(0), 2000, EXTENT)
+        assert sampled["batch"].shape == (2000, BATCH)
+        counts = np.bincount(sampled["batch"].ravel(), minlength=400)
         assert counts[:first].sum() == 0 and len(counts) == 400
         assert stats.chisquare(counts[first:]).pvalue > 1e-3
-        one = {"batch": torch.from_numpy(draws["batch"][0])}
+        one = {"batch": torch.from_numpy(sampled["batch"][0])}
         selection = sampler.select(state(), sampler.gather({}, held(), one), one)
         assert torch.equal(selection.rows, one["batch"]) and selection.metrics is None
 

@@ -70,7 +70,7 @@ def test_correction_brings_the_dynamics_and_the_values_nearer(name: str) -> None
 @cache
 def measured(case: str) -> dict[str, float]:
     """KL(P_D || .) as a mean over (s, a): of P_B, and of what alpha = 1 makes of it."""
-    sets = Sets.draw({"differ": OFFLINE, "the same": ONLINE}[case], ONLINE)
+    sets = Sets.sample({"differ": OFFLINE, "the same": ONLINE}[case], ONLINE)
     offline = frequencies(sets.rows)
     exact, _ = corrected(offline, ONLINE, rank_acceptance(offline, ONLINE, 1.0))
     found = {

@@ -16,7 +16,7 @@ from torch.utils._pytree import tree_leaves, tree_map_only
 from otc_dist.learner.learner import Learner
 from otc_dist.learner.trainer import Phase
 from otc_dist.otc.distances.embedding import Embedder
-from otc_dist.steps.draws import to_tensors
+from otc_dist.steps.noise import to_tensors
 
 from ..algorithms import test_conformance as conformance
 from ..brains import ARMS
@@ -63,12 +63,12 @@ def tuned(name: str, *assignments: str) -> Learner:
 def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
     learner = tuned(name, *ARMS[arm])
     trainer, experience = learner._online, learner._experience
-    noise = learner._algorithm.noise(conformance.BATCH)
-    draw_block = trainer._draws(noise, experience.extent, Phase("tuning", 1, 0), "")
-    arrays = to_tensors(draw_block(0, 1), CPU)
-    draws = on_gpu({key: array[0] for key, array in arrays.items()})
+    specs = learner._algorithm.noise_spec(conformance.BATCH)
+    sample_block = trainer._sampling(specs, experience.extent, Phase("tuning", 1, 0), "")
+    arrays = to_tensors(sample_block(0, 1), CPU)
+    sampled = on_gpu({key: array[0] for key, array in arrays.items()})
     state, update = on_gpu(learner._state), trainer._update(on_gpu(learner._begin(1).data))
-    new = record(lambda: update(state, draws))
+    new = record(lambda: update(state, sampled))
     # The next replay reads what this one has written.
     assert {key: x.shape for key, x in new.items()} == {key: x.shape for key, x in state.items()}
     assert {key: x.dtype for key, x in new.items()} == {key: x.dtype for key, x in state.items()}
@@ -80,8 +80,8 @@ def test_an_update_of_the_embedding_stays_on_the_gpu() -> None:
     assert isinstance(embedder, Embedder) and embedder.state
     embedding = embedder._embedding
     state, batch = on_gpu(embedder.state), on_gpu(trial.batch)
-    draws = on_gpu(trial.draws(embedding.noise(conformance.BATCH)))
-    record(lambda: embedding.update(state, batch, draws))
+    sampled = on_gpu(trial.noise(embedding.noise_spec(conformance.BATCH)))
+    record(lambda: embedding.update(state, batch, sampled))
 
 
 def test_what_a_graph_cannot_hold_is_noticed() -> None:

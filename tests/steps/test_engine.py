@@ -12,8 +12,8 @@ from torch._dynamo.utils import counters
 from otc_dist.learner.learner import Learner
 from otc_dist.learner.trainer import Phase
 from otc_dist.steps import engine
-from otc_dist.steps.draws import to_tensors
 from otc_dist.steps.engine import Engine, resolve
+from otc_dist.steps.noise import to_tensors
 from otc_dist.system.cache import compiled_root
 from otc_dist.terminal.errors import UserError
 
@@ -100,13 +100,13 @@ def updates(learner: Learner, count: int) -> list[np.ndarray]:
     """The state, as one vector, after each of `count` tuning updates by the learner's own path."""
     trainer, extent = learner._online, learner._experience.extent
     update = trainer._update(learner._begin(1).data)
-    noise = learner._algorithm.noise(learner.description.algorithm.batch_size)
-    draw_block = trainer._draws(noise, extent, Phase("tuning", 1, 0), "")
-    draws = to_tensors(draw_block(0, count), CPU)
+    specs = learner._algorithm.noise_spec(learner.description.algorithm.batch_size)
+    sample_block = trainer._sampling(specs, extent, Phase("tuning", 1, 0), "")
+    sampled = to_tensors(sample_block(0, count), CPU)
     begun = learner._begin(1)
     states, state = [], {**learner._state, **begun.changed}
     for index in range(count):
-        state, _ = update(state, {name: array[index] for name, array in draws.items()})
+        state, _ = update(state, {name: array[index] for name, array in sampled.items()})
         parts = [state[name].numpy() for name in ("vae", "critic", "critic_target", "actor")]
         states.append(np.concatenate(parts))
     return states

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from otc_dist.algorithms.interface import Batch
-from otc_dist.steps.draws import Draw
 from otc_dist.steps.networks import Mlp, descend, fresh_state
+from otc_dist.steps.noise import NoiseSpec
 from otc_dist.steps.state import Fuse, State
 from otc_dist.system.lazy import torch
 
@@ -50,8 +50,8 @@ class ValueFunction:
             "value_scale": np.array(size or 1.0, np.float32),
         }
 
-    def noise(self) -> Draw:
-        return Draw("uniform", (STEPS, BATCH))
+    def noise_spec(self) -> NoiseSpec:
+        return NoiseSpec("uniform", (STEPS, BATCH))
 
     def values(self, state: Mapping[str, Tensor], normalised: Tensor) -> Tensor:
         """V(s) (...), for normalised observations (..., s)."""

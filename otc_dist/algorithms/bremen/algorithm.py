@@ -25,8 +25,8 @@ from otc_dist.algorithms.bremen.policy_step import PolicyStep
 from otc_dist.algorithms.interface import Batch
 from otc_dist.description.algorithms import AlgorithmSection, LargeSection
 from otc_dist.spec import Task
-from otc_dist.steps.draws import Draw, Draws
 from otc_dist.steps.networks import Mlp, descend, fresh_state
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import Fuse, State
 from otc_dist.system.lazy import torch
 
@@ -144,12 +144,12 @@ class Bremen:
             **self.value_function.initial_state(random, offline),
         }
 
-    def noise(self, batch_size: int) -> Mapping[str, Draw]:
+    def noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
         """Nothing: the minibatch is all that is random in an update."""
         return {}
 
     def update(
-        self, state: State, batch: Batch, imitated: Batch, noise: Draws
+        self, state: State, batch: Batch, imitated: Batch, noise: Noise
     ) -> tuple[State, Tensor]:
         """One gradient step of every model, and of the clone on what it imitates."""
         state = dict(state, updates=state["updates"] + 1)
@@ -188,11 +188,11 @@ class Bremen:
         """tanh f(s) (..., a) of a policy or the clone, for normalised observations (..., s)."""
         return self.actor.apply(actor, normalised).tanh()
 
-    def acting_noise(self, copies: int) -> Mapping[str, Draw]:
+    def acting_noise_spec(self, copies: int) -> Mapping[str, NoiseSpec]:
         """Nothing: the mean is deployed."""
         return {}
 
-    def act(self, state: State, observations: Tensor, noise: Draws) -> Tensor:
+    def act(self, state: State, observations: Tensor, noise: Noise) -> Tensor:
         return self.mean(state["policy"], normalised_observations(state, observations))
 
     @property
@@ -203,16 +203,16 @@ class Bremen:
         """The policy starts from the clone; the value function goes on from where it was."""
         return dict(state, policy=state["clone_average"])
 
-    def improvement_noise(self, batch_size: int) -> Mapping[str, Draw]:
+    def improvement_noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:
         steps = (self.settings.horizon, batch_size)
         return {
-            "action": Draw("normal", (*steps, self.action_size)),
-            "model": Draw("uniform", (self.settings.horizon,)),
-            "restart": Draw("uniform", steps),
-            "value": self.value_function.noise(),
+            "action": NoiseSpec("normal", (*steps, self.action_size)),
+            "model": NoiseSpec("uniform", (self.settings.horizon,)),
+            "restart": NoiseSpec("uniform", steps),
+            "value": self.value_function.noise_spec(),
         }
 
-    def improve(self, fuse: Fuse, state: State, batch: Batch, noise: Draws) -> tuple[State, Tensor]:
+    def improve(self, fuse: Fuse, state: State, batch: Batch, noise: Noise) -> tuple[State, Tensor]:
         """Rollouts, a trust-region step of the policy, then a fit of the value function.
 
         The order is BREMEN's: the value function has not seen the rollouts that it judges.
@@ -244,7 +244,7 @@ class Bremen:
         )
         return dict(new, policy=step.parameters), torch.stack(metrics)
 
-    def rollouts(self, fuse: Fuse, state: State, batch: Batch, noise: Draws) -> Rollouts:
+    def rollouts(self, fuse: Fuse, state: State, batch: Batch, noise: Noise) -> Rollouts:
         """Rollouts of the policy from the batch's states.
 
         At each step one model, drawn at random, moves all of them, as in BREMEN's code. Where an

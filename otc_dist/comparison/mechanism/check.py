@@ -16,7 +16,7 @@ import torch
 from otc_dist.comparison.arms import of_seed
 from otc_dist.comparison.frozen_agent import Specimen
 from otc_dist.comparison.mechanism.pool import Pool, pools
-from otc_dist.comparison.mechanism.selectors import noise, ways
+from otc_dist.comparison.mechanism.selectors import noise_spec, ways
 from otc_dist.comparison.mechanism.table import ONLINE
 from otc_dist.comparison.runs import Tell
 from otc_dist.comparison.scores import ComparisonFolder, write_json
@@ -24,7 +24,7 @@ from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.otc.samplers.correction import settings_of
 from otc_dist.randomness import stream
-from otc_dist.steps.draws import draw, to_tensors
+from otc_dist.steps.noise import sample_noise, to_tensors
 
 POOL = 40_000  # rows of B_1 that minibatches come from: acting on all of B_1 would take minutes
 MINIBATCHES = 200
@@ -82,7 +82,7 @@ def _selected(
 ) -> dict[str, Selected]:
     """All rows of one agent, on the same minibatches."""
     sampling = settings_of(description)
-    of_row, wanted = ways(description, specimen, pool), noise(description, specimen)
+    of_row, specs = ways(description, specimen, pool), noise_spec(description, specimen)
     newest = np.arange(pool.size, len(pool.mismatch))
     sums = {row: np.zeros(len(fields(Selected))) for row in of_row}
     for number in range(MINIBATCHES):
@@ -92,11 +92,11 @@ def _selected(
             "candidates": random.integers(0, pool.size, (1, sampling.candidates)),
             "references": random.permutation(newest)[None, :count],
         }
-        arrays = to_tensors({**indices, **draw(random, wanted, 1)}, specimen.engine.device)
-        draws = {name: array[0] for name, array in arrays.items()}
+        arrays = to_tensors({**indices, **sample_noise(random, specs, 1)}, specimen.engine.device)
+        sampled = {name: array[0] for name, array in arrays.items()}
         for row, way in of_row.items():
             with torch.no_grad():
-                sums[row] += pool.means(way(draws))
+                sums[row] += pool.means(way(sampled))
     uniform = pool.means(torch.arange(pool.size))
     uniform[-1] = 1.0  # the share of D_1's transitions is told as it is
     means = {row: total / MINIBATCHES for row, total in sums.items()}

@@ -22,7 +22,7 @@ from otc_dist.otc import create_sampler
 from otc_dist.otc.data import Data
 from otc_dist.otc.samplers.interface import Extent, Held
 from otc_dist.randomness import stream
-from otc_dist.steps.draws import Draws, draw
+from otc_dist.steps.noise import Noise, sample_noise
 from otc_dist.steps.state import State
 from otc_dist.steps.training import BLOCK, train
 from otc_dist.transitions import Float64, Transitions
@@ -149,19 +149,19 @@ def _weights(
     def random(*key: int | str) -> np.random.Generator:
         return stream(description.seed, "mechanism", name, agent, *key)
 
-    def draw_block(block: int, count: int) -> dict[str, NDArray[np.generic]]:
-        noise = draw(random("noise", block), sampler.noise(), count)
-        return {**sampler.draw(random("minibatches", block), count, extent), **noise}
+    def sample_block(block: int, count: int) -> dict[str, NDArray[np.generic]]:
+        noise = sample_noise(random("noise", block), sampler.noise_spec(), count)
+        return {**sampler.sample_indices(random("minibatches", block), count, extent), **noise}
 
-    def update(state: State, draws: Draws) -> tuple[State, Tensor]:
-        selection = sampler.select(state, sampler.gather(state, data, draws), draws)
+    def update(state: State, sampled: Noise) -> tuple[State, Tensor]:
+        selection = sampler.select(state, sampler.gather(state, data, sampled), sampled)
         return {**state, **selection.changed}, nothing
 
     with torch.no_grad():
         held = Held(specimen.state, data, extent, specimen.engine, random)
         begun = {**specimen.state, **sampler.begin(held).changed}
         span = (0, description.deployment.updates)
-        learned = train(begun, update, draw_block, rows.device, span, BLOCK, _ignore)
+        learned = train(begun, update, sample_block, rows.device, span, BLOCK, _ignore)
     return sampler.weights(learned, len(rows))
 
 

@@ -21,11 +21,11 @@ from otc_dist.otc.samplers import priorities
 from otc_dist.otc.samplers.correction import settings_of
 from otc_dist.otc.samplers.interface import Extent, Held
 from otc_dist.randomness import stream
-from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.transitions import RowLayout
 
-Way = Callable[[Draws], Tensor]  # selected rows (batch,) of the pool, from one minibatch's draws
-Distances = Callable[[Draws], Tensor]  # of the candidates (B,) of one minibatch
+Way = Callable[[Noise], Tensor]  # selected rows (batch,) of the pool, by what one minibatch sampled
+Distances = Callable[[Noise], Tensor]  # of the candidates (B,) of one minibatch
 
 BEST = 0.1  # of the pool
 TENTH = "best tenth"
@@ -40,15 +40,15 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
     def ranked(distances: Distances) -> Way:
         """By Eq. 3 at alpha_0, on the same candidates and by the same noise as all others."""
 
-        def rows(draws: Draws) -> Tensor:
+        def rows(sampled: Noise) -> Tensor:
             positions = prioritize(
-                distances(draws),
+                distances(sampled),
                 alpha,
-                draws["priority"],
+                sampled["priority"],
                 batch,
                 with_replacement=sampling.with_replacement,
             )
-            return draws["candidates"][positions]
+            return sampled["candidates"][positions]
 
         return rows
 
@@ -59,20 +59,20 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
         sampler = rank.create(create_distance(name, setting), settings_of(described), batch)
         assert isinstance(sampler, rank.RankMatched)
 
-        def distances(draws: Draws) -> Tensor:
-            pairs = sampler.pairs(pool.data[name], draws)
-            return sampler.distances(specimen.state, pairs, draws)[0]
+        def distances(sampled: Noise) -> Tensor:
+            pairs = sampler.pairs(pool.data[name], sampled)
+            return sampler.distances(specimen.state, pairs, sampled)[0]
 
         return ranked(distances)
 
     pairs, successors = _standardised(pool, specimen.layout)
 
-    def gaps(draws: Draws) -> Tensor:
-        return torch.cdist(pairs[draws["candidates"]], pairs[draws["references"]])
+    def gaps(sampled: Noise) -> Tensor:
+        return torch.cdist(pairs[sampled["candidates"]], pairs[sampled["references"]])
 
-    def raw(draws: Draws) -> Tensor:
-        matched = draws["references"][gaps(draws).argmin(dim=1)]
-        difference = successors[draws["candidates"]] - successors[matched]
+    def raw(sampled: Noise) -> Tensor:
+        matched = sampled["references"][gaps(sampled).argmin(dim=1)]
+        difference = successors[sampled["candidates"]] - successors[matched]
         return difference.square().sum(dim=1)
 
     found: dict[str, Way] = {}
@@ -92,25 +92,25 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
         found[row] = partial(_by_priority, priorities.of(weights))
     return found | {
         "raw (s, a) match, raw s'": ranked(raw),
-        "nearness in (s, a) alone": ranked(lambda draws: gaps(draws).amin(dim=1)),
+        "nearness in (s, a) alone": ranked(lambda sampled: gaps(sampled).amin(dim=1)),
         # All at the same distance in a random order: uniform.
-        UNIFORM: ranked(lambda draws: torch.zeros(len(draws["candidates"]))),
-        ORACLE: ranked(lambda draws: pool.mismatch[draws["candidates"]]),
+        UNIFORM: ranked(lambda sampled: torch.zeros(len(sampled["candidates"]))),
+        ORACLE: ranked(lambda sampled: pool.mismatch[sampled["candidates"]]),
         f"{ORACLE}, {TENTH}": partial(_any_of, nearest),
     }
 
 
-def _looked_up(scores: Tensor, draws: Draws) -> Tensor:
-    return scores[draws["candidates"]]
+def _looked_up(scores: Tensor, sampled: Noise) -> Tensor:
+    return scores[sampled["candidates"]]
 
 
-def _by_priority(held: tuple[Tensor, Tensor], draws: Draws) -> Tensor:
-    return priorities.choose(*held, draws["part"])
+def _by_priority(held: tuple[Tensor, Tensor], sampled: Noise) -> Tensor:
+    return priorities.choose(*held, sampled["part"])
 
 
-def _any_of(rows: Tensor, draws: Draws) -> Tensor:
+def _any_of(rows: Tensor, sampled: Noise) -> Tensor:
     """As many of `rows` as a batch has, each as likely as another."""
-    return rows[(draws["part"] * len(rows)).long()]
+    return rows[(sampled["part"] * len(rows)).long()]
 
 
 def _scores(description: Description, specimen: Specimen, pool: Pool, name: str) -> Tensor:
@@ -128,14 +128,14 @@ def _scores(description: Description, specimen: Specimen, pool: Pool, name: str)
         )
 
 
-def noise(description: Description, specimen: Specimen) -> dict[str, Draw]:
+def noise_spec(description: Description, specimen: Specimen) -> dict[str, NoiseSpec]:
     """The random arrays that all ways need for one minibatch."""
     sampling, batch = settings_of(description), description.algorithm.batch_size
-    wanted: dict[str, Draw] = {}
+    specs: dict[str, NoiseSpec] = {}
     if specimen.critic:
-        wanted.update(specimen.critic.value_noise(sampling.candidates, sampling.value_samples))
-    priority = {"priority": Draw("exponential", (sampling.candidates,))}
-    return wanted | priority | {"part": Draw("uniform", (batch,))}
+        specs.update(specimen.critic.value_noise_spec(sampling.candidates, sampling.value_samples))
+    priority = {"priority": NoiseSpec("exponential", (sampling.candidates,))}
+    return specs | priority | {"part": NoiseSpec("uniform", (batch,))}
 
 
 def _standardised(pool: Pool, layout: RowLayout) -> tuple[Tensor, Tensor]:

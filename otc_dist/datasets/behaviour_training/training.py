@@ -91,14 +91,14 @@ def evaluate(name: str, tensors: Tensors, seed: int, purpose: str) -> Scores:
     copies = TASKS[name].evaluation_episodes
     env, policy = registry.make(TASKS[name].env_id, copies), policy_of(tensors)
     agents = len(env.spec.agents)
-    noise = stream(seed, name, purpose, "noise")
+    random = stream(seed, name, purpose, "noise")
     seeds = [derive_seed(seed, name, purpose, copy) for copy in range(copies)]
     env.reset(np.arange(copies), np.array(seeds, np.int64))
     returns, playing = np.zeros(copies), np.ones(copies, np.bool_)
     success = np.zeros(copies) if isinstance(env, Contest) else None
     while playing.any():
-        draws = policy.noise(noise, agents * copies)
-        actions = policy.act(np.concatenate(env.observe()), draws)
+        noise = policy.noise(random, agents * copies)
+        actions = policy.act(np.concatenate(env.observe()), noise)
         outcome = env.step(np.split(actions, agents))
         returns += np.mean(outcome.rewards, axis=0, dtype=np.float64) * playing
         if success is not None and isinstance(env, Contest):

@@ -25,7 +25,7 @@ from otc_dist.otc.samplers.interface import (
     Sampler,
     Selection,
 )
-from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 
 log = logging.getLogger(__name__)
@@ -55,10 +55,10 @@ class _Rank(Sampler):
     def kept(self) -> Mapping[str, float]:
         return _kept(Alpha(self.settings.alpha))
 
-    def noise(self) -> dict[str, Draw]:
-        return {"priority": Draw("exponential", (self.settings.candidates,))}
+    def noise_spec(self) -> dict[str, NoiseSpec]:
+        return {"priority": NoiseSpec("exponential", (self.settings.candidates,))}
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         shape = (updates, self.settings.candidates)
         return {"candidates": random.integers(0, extent.size, shape)}
 
@@ -77,16 +77,16 @@ class _Rank(Sampler):
             kept=_kept(alpha),
         )
 
-    def chosen(self, distances: Tensor, alpha: Tensor, draws: Draws) -> Tensor:
+    def chosen(self, distances: Tensor, alpha: Tensor, sampled: Noise) -> Tensor:
         """Row numbers by Eq. 3, from the distances (B,) of the candidates."""
         positions = prioritize(
             distances,
             alpha,
-            draws["priority"],
+            sampled["priority"],
             self.batch_size,
             with_replacement=self.settings.with_replacement,
         )
-        return draws["candidates"][positions]
+        return sampled["candidates"][positions]
 
 
 def _kept(alpha: Alpha) -> Mapping[str, float]:
@@ -108,39 +108,39 @@ class RankMatched(_Rank):
     def metric_names(self) -> tuple[str, ...]:
         return ("guarded",)  # normalisers that were guarded
 
-    def noise(self) -> dict[str, Draw]:
-        return super().noise() | self.distance.noise(self.settings.candidates)
+    def noise_spec(self) -> dict[str, NoiseSpec]:
+        return super().noise_spec() | self.distance.noise_spec(self.settings.candidates)
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         newest = np.arange(extent.newest, extent.size)
         references = len(newest)
         if self.settings.matching == "minibatch":
             references = min(self.settings.references, references)
         shuffled = random.permuted(np.broadcast_to(newest, (updates, len(newest))), axis=1)
-        candidates = super().draw(random, updates, extent)
+        candidates = super().sample_indices(random, updates, extent)
         return {**candidates, "references": shuffled[:, :references]}
 
     def begin(self, held: Held) -> Begun:
         return self.begun(held, *self.distance.similarity(held))
 
-    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
-        return {**self.pairs(data, draws), "alpha": data.prepared["alpha"]}
+    def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
+        return {**self.pairs(data, sampled), "alpha": data.prepared["alpha"]}
 
-    def pairs(self, data: Data, draws: Draws) -> Gathered:
+    def pairs(self, data: Data, sampled: Noise) -> Gathered:
         """What the distance looks at of both minibatches."""
         names = ("candidates", "references")
-        return {name: self.distance.gather(data, draws[name]) for name in names}
+        return {name: self.distance.gather(data, sampled[name]) for name in names}
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        distances, guarded = self.distances(state, gathered, draws)
-        rows = self.chosen(distances, gathered["alpha"], draws)
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        distances, guarded = self.distances(state, gathered, sampled)
+        rows = self.chosen(distances, gathered["alpha"], sampled)
         return Selection(rows, rows, metrics=guarded.view(1))
 
-    def distances(self, state: State, gathered: Gathered, draws: Draws) -> tuple[Tensor, Tensor]:
+    def distances(self, state: State, gathered: Gathered, sampled: Noise) -> tuple[Tensor, Tensor]:
         """d(s', s'*) (B,) of the candidates, and how many normalisers were guarded."""
-        ids = (draws["candidates"], draws["references"]) if self.settings.exclude_self else None
+        ids = (sampled["candidates"], sampled["references"]) if self.settings.exclude_self else None
         candidates, references = gathered["candidates"], gathered["references"]
-        return self.distance.between(state, candidates, references, ids, draws)
+        return self.distance.between(state, candidates, references, ids, sampled)
 
 
 @dataclass(frozen=True)
@@ -154,10 +154,10 @@ class RankScored(_Rank):
         similarity = float(found.values.double().mean())
         return self.begun(held, similarity, found.guarded, scores=found.values)
 
-    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
+    def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
         scores, alpha = data.prepared["scores"], data.prepared["alpha"]
-        return {"distances": scores.index_select(0, draws["candidates"]), "alpha": alpha}
+        return {"distances": scores.index_select(0, sampled["candidates"]), "alpha": alpha}
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        rows = self.chosen(gathered["distances"], gathered["alpha"], draws)
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        rows = self.chosen(gathered["distances"], gathered["alpha"], sampled)
         return Selection(rows, rows)

@@ -19,7 +19,7 @@ from otc_dist.otc.samplers.interface import (
     Sampler,
     Selection,
 )
-from otc_dist.steps.draws import Draws
+from otc_dist.steps.noise import Noise
 from otc_dist.steps.state import State
 
 # From scores (size,), D_k's last, and the extent: how likely each row is accepted (size,), 0 to 1.
@@ -42,7 +42,7 @@ class Weighted(Sampler):
     weigh: Weigh
     exclude_self: bool = False
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         return {"quantile": random.random((updates, self.batch_size))}
 
     def begin(self, held: Held) -> Begun:
@@ -57,11 +57,11 @@ class Weighted(Sampler):
         measured = {"accepted": accepted, "guarded": found.guarded}
         return Begun(held.data._replace(prepared={"sums": sums}), measured=measured)
 
-    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
+    def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
         # Beyond [0, total) a row without weight could be met.
         sums = data.prepared["sums"]
-        return {"rows": torch.searchsorted(sums, draws["quantile"] * sums[-1], right=True)}
+        return {"rows": torch.searchsorted(sums, sampled["quantile"] * sums[-1], right=True)}
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
         rows = gathered["rows"]
         return Selection(rows, rows)

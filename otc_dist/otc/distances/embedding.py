@@ -20,8 +20,8 @@ from otc_dist.otc.distances.nearest import FeatureDistance
 from otc_dist.otc.embedding import Embedding, active_dimensions
 from otc_dist.otc.samplers.correction import settings_of
 from otc_dist.otc.samplers.interface import Random
-from otc_dist.steps.draws import Draws, draw, to_tensors
 from otc_dist.steps.engine import Engine
+from otc_dist.steps.noise import Noise, sample_noise, to_tensors
 from otc_dist.steps.state import State
 from otc_dist.steps.training import BLOCK, train
 from otc_dist.transitions import RowLayout
@@ -82,16 +82,16 @@ class Embedder:
         layout = self._layout
         initial = embedding.initial_state(random("initial"), _batch(rows.cpu(), layout))
         step = self._engine.fuse(
-            lambda state, rows, draws: embedding.update(state, _batch(rows, layout), draws)
+            lambda state, rows, sampled: embedding.update(state, _batch(rows, layout), sampled)
         )
 
-        def update(state: State, draws: Draws) -> tuple[State, Tensor]:
-            return step(state, rows.index_select(0, draws["batch"]), draws)
+        def update(state: State, sampled: Noise) -> tuple[State, Tensor]:
+            return step(state, rows.index_select(0, sampled["batch"]), sampled)
 
-        def draw_block(block: int, count: int) -> Mapping[str, NDArray[np.generic]]:
+        def sample_block(block: int, count: int) -> Mapping[str, NDArray[np.generic]]:
             minibatches, noise = random("minibatches", block), random("noise", block)
             chosen = minibatches.integers(0, len(rows), (count, size))
-            return {"batch": chosen, **draw(noise, embedding.noise(size), count)}
+            return {"batch": chosen, **sample_noise(noise, embedding.noise_spec(size), count)}
 
         def on_block(state: State, done: int, metrics: list[float]) -> None:
             named = dict(zip(embedding.metric_names, metrics, strict=True))
@@ -102,7 +102,7 @@ class Embedder:
 
         state, device = to_tensors(initial, self._engine.device), self._engine.device
         record = self._engine.record(update)
-        train(state, record, draw_block, device, (0, updates), BLOCK, on_block)
+        train(state, record, sample_block, device, (0, updates), BLOCK, on_block)
 
     def embed(self, rows: Tensor, folds: Tensor, out: Tensor) -> None:
         """Write mu of packed rows (N, width) to `out` (N, e); nothing before `fit`."""

@@ -13,7 +13,7 @@ from otc_dist.algorithms.interface import Critic
 from otc_dist.description import Description
 from otc_dist.otc.data import Data
 from otc_dist.otc.samplers.interface import Held, Random
-from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
@@ -52,7 +52,7 @@ class Distance(Protocol):
 class Matching(Protocol):
     """A distance that can be computed within one update, from minibatches B and D."""
 
-    def noise(self, candidates: int) -> dict[str, Draw]:
+    def noise_spec(self, candidates: int) -> dict[str, NoiseSpec]:
         """The random arrays that one `between` needs."""
         ...
 
@@ -61,7 +61,7 @@ class Matching(Protocol):
         ...
 
     def between(
-        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, draws: Draws
+        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, noise: Noise
     ) -> tuple[Tensor, Tensor]:
         """d(s', s'*) (B,) of the gathered candidates, and how many normalisers were guarded.
 

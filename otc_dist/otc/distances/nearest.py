@@ -11,7 +11,7 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Ids, Scores
 from otc_dist.otc.samplers.correction import CorrectionSection
 from otc_dist.otc.samplers.interface import Held
-from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 
 PAIR_CHUNK = 256  # transitions compared with all of D_k at once
@@ -29,14 +29,14 @@ class FeatureDistance(ABC):
     def compare(self, queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:
         """The distance (B,) of each of the features (B, n) to the features (D, n)."""
 
-    def noise(self, candidates: int) -> dict[str, Draw]:
+    def noise_spec(self, candidates: int) -> dict[str, NoiseSpec]:
         return {}
 
     def gather(self, data: Data, numbers: Tensor) -> Tensor:
         return data.features.index_select(0, numbers)
 
     def between(
-        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, draws: Draws
+        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, noise: Noise
     ) -> tuple[Tensor, Tensor]:
         far = self.compare(candidates, references, ids)
         return far, far.new_zeros(())

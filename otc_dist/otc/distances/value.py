@@ -11,7 +11,7 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Ids, Scores, Setting
 from otc_dist.otc.samplers.correction import CorrectionSection, NormaliserName, settings_of
 from otc_dist.otc.samplers.interface import Held
-from otc_dist.steps.draws import Draw, Draws, draw, to_tensors
+from otc_dist.steps.noise import Noise, NoiseSpec, sample_noise, to_tensors
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
@@ -33,14 +33,14 @@ class ValueDistance:
         assert setting.critic is not None  # a description without a Q does not ask for d_q
         return cls(setting.critic, setting.layout, settings_of(setting.description))
 
-    def noise(self, candidates: int) -> dict[str, Draw]:
-        return dict(self.critic.value_noise(candidates, self.settings.value_samples))
+    def noise_spec(self, candidates: int) -> dict[str, NoiseSpec]:
+        return dict(self.critic.value_noise_spec(candidates, self.settings.value_samples))
 
     def gather(self, data: Data, numbers: Tensor) -> Tensor:
         return data.rows.index_select(0, numbers)
 
     def between(
-        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, draws: Draws
+        self, state: State, candidates: Tensor, references: Tensor, ids: Ids | None, noise: Noise
     ) -> tuple[Tensor, Tensor]:
         batch, online = unpack(candidates, self.layout), unpack(references, self.layout)
         matches = match_values(
@@ -49,9 +49,9 @@ class ValueDistance:
             ids,
         )
         # Both values by the same noise: less noise in their difference.
-        values = self._values(state, batch.next_observation, batch.terminated, draws)
+        values = self._values(state, batch.next_observation, batch.terminated, noise)
         matched = self._values(
-            state, online.next_observation[matches], online.terminated[matches], draws
+            state, online.next_observation[matches], online.terminated[matches], noise
         )
         return next_state_distance(values, matched, self.settings.normaliser)
 
@@ -80,15 +80,15 @@ class ValueDistance:
         found = self.scores(held, exclude_self=self.settings.exclude_self)
         return float(found.values.double().mean()), found.guarded
 
-    def _values(self, state: State, states: Tensor, terminated: Tensor, draws: Draws) -> Tensor:
+    def _values(self, state: State, states: Tensor, terminated: Tensor, noise: Noise) -> Tensor:
         """V(s') (B,), 0 at a terminal s'."""
-        return torch.where(terminated > 0, 0.0, self.critic.value(state, states, draws))
+        return torch.where(terminated > 0, 0.0, self.critic.value(state, states, noise))
 
     def _next_values(self, state: State, batch: Batch, random: np.random.Generator) -> Tensor:
-        wanted = self.critic.value_noise(len(batch.reward), self.settings.value_samples)
-        noise = to_tensors(draw(random, wanted, 1), batch.reward.device)
-        first = {name: array[0] for name, array in noise.items()}
-        return self._values(state, batch.next_observation, batch.terminated, first)
+        specs = self.critic.value_noise_spec(len(batch.reward), self.settings.value_samples)
+        arrays = to_tensors(sample_noise(random, specs, 1), batch.reward.device)
+        noise = {name: array[0] for name, array in arrays.items()}
+        return self._values(state, batch.next_observation, batch.terminated, noise)
 
 
 def match_values(queries: Tensor, references: Tensor, ids: Ids | None = None) -> Tensor:

@@ -32,8 +32,8 @@ from otc_dist.otc.samplers.interface import (
     Sampler,
     Selection,
 )
-from otc_dist.steps.draws import Draw, Draws
 from otc_dist.steps.networks import Mlp, adam, value_and_gradient
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 from otc_dist.system.lazy import torch
 from otc_dist.transitions import RowLayout
@@ -112,10 +112,10 @@ class Balanced(Sampler):
     def computes(self) -> bool:
         return True
 
-    def noise(self) -> dict[str, Draw]:
-        return {"priority": Draw("uniform", (self.batch_size,))}
+    def noise_spec(self) -> dict[str, NoiseSpec]:
+        return {"priority": NoiseSpec("uniform", (self.batch_size,))}
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         """Uniform minibatches of B_0 and of D_1 .. D_k, from which w learns."""
         shape = (updates, self.batch_size)
         return {
@@ -138,12 +138,12 @@ class Balanced(Sampler):
         filled = priorities.fill(mine["sampler_priorities"], extent.newest, extent.size, each)
         return Begun(held.data, mine | _named(filled))
 
-    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
-        chosen = priorities.choose(*_priorities(state), draws["priority"])
-        numbers = torch.cat((draws["offline"], draws["online"], chosen))
+    def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
+        chosen = priorities.choose(*_priorities(state), sampled["priority"])
+        numbers = torch.cat((sampled["offline"], sampled["online"], chosen))
         return {"numbers": chosen, "rows": data.rows.index_select(0, numbers)}
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
         """The rows drawn by priority. w takes one step, and their priorities are set anew:
         w(s, a)^(1/T) / mean over the offline minibatch of w^(1/T), by w before the step.
         """

@@ -1,9 +1,9 @@
 """Sampling strategies: which transitions of B_k an update sees (Algorithm 1, lines 10 to 14).
 
-A sampler draws row numbers outside, for many updates at once (`draw`), gathers what it must
-look at (`gather`), and chooses by a pure function of it (`select`), which the engine runs.
+A sampler samples row numbers outside, for many updates at once (`sample_indices`), gathers what
+it must look at (`gather`), and chooses by a pure function of it (`select`), which the engine runs.
 Gathering stays apart because a compiler that fuses it into the distance computation reads the
-buffer at random once for every pair: ten times slower. What depends on a deployment only is
+buffer at random once for every pair: ten times slower. What depends only on a deployment is
 computed once, before its updates (`begin`).
 """
 
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ Gathered = dict[str, "Tensor"]
 class Sampler:
     """A sampling strategy. What one learns lies in the brain's state, under keys `sampler_*`.
 
-    What it does not say is as of one that learns nothing and looks at no row that it draws.
+    What it does not say is as of one that learns nothing and looks at no row that it samples.
 
     Attributes:
         Section: its settings; of those that a description can choose.
@@ -109,11 +109,11 @@ class Sampler:
         """What stands for `Begun.kept` before the first deployment."""
         return {}
 
-    def noise(self) -> Mapping[str, Draw]:
+    def noise_spec(self) -> Mapping[str, NoiseSpec]:
         """The random arrays that one `select` needs beside its indices."""
         return {}
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         """Row numbers, or what they are chosen by, for `updates` updates: each (updates, n)."""
         raise NotImplementedError
 
@@ -121,12 +121,12 @@ class Sampler:
         """Prepare for the updates after a deployment, whose data have just been merged."""
         return Begun(held.data)
 
-    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
+    def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
         """What `select` looks at of the rows that one update drew, and of what `begin` prepared."""
         return {}
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        """The rows of one update, from its share of the draws."""
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        """The rows of one update, from its share of what was sampled: row numbers and noise."""
         raise NotImplementedError
 
     def weights(self, state: State, size: int) -> Tensor:

@@ -17,7 +17,7 @@ from otc_dist.otc.samplers.interface import (
     Sampler,
     Selection,
 )
-from otc_dist.steps.draws import Draw, Draws
+from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 from otc_dist.system.lazy import torch
 
@@ -43,20 +43,20 @@ class Around(Sampler):
     def kept(self) -> Mapping[str, float]:
         return self.inner.kept
 
-    def noise(self) -> Mapping[str, Draw]:
-        return self.inner.noise()
+    def noise_spec(self) -> Mapping[str, NoiseSpec]:
+        return self.inner.noise_spec()
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
-        return self.inner.draw(random, updates, extent)
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        return self.inner.sample_indices(random, updates, extent)
 
     def begin(self, held: Held) -> Begun:
         return self.inner.begin(held)
 
-    def gather(self, state: State, data: Data, draws: Draws) -> Gathered:
-        return self.inner.gather(state, data, draws)
+    def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
+        return self.inner.gather(state, data, sampled)
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        return self.inner.select(state, gathered, draws)
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        return self.inner.select(state, gathered, sampled)
 
 
 @dataclass(frozen=True)
@@ -67,13 +67,13 @@ class WithOnline(Around):
 
     count: int
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
-        chosen = self.inner.draw(random, updates, extent)
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        chosen = self.inner.sample_indices(random, updates, extent)
         online = random.integers(extent.offline, extent.size, (updates, self.count))
         return {**chosen, "online": online}
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        chosen, online = self.inner.select(state, gathered, draws), draws["online"]
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        chosen, online = self.inner.select(state, gathered, sampled), sampled["online"]
         return chosen._replace(
             rows=torch.cat((chosen.rows, online)), imitated=torch.cat((chosen.imitated, online))
         )
@@ -85,12 +85,12 @@ class ImitatingAll(Around):
 
     batch_size: int
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
-        chosen = self.inner.draw(random, updates, extent)
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+        chosen = self.inner.sample_indices(random, updates, extent)
         return {**chosen, "plain": random.integers(0, extent.size, (updates, self.batch_size))}
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        return self.inner.select(state, gathered, draws)._replace(imitated=draws["plain"])
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        return self.inner.select(state, gathered, sampled)._replace(imitated=sampled["plain"])
 
 
 def with_online(choose: Callable[[int], Sampler], share: float, batch_size: int) -> Sampler:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from otc_dist.description.sampling import Arm, SamplingSection
 from otc_dist.otc.samplers.interface import Extent, Gathered, Indices, Sampler, Selection
-from otc_dist.steps.draws import Draws
+from otc_dist.steps.noise import Noise
 from otc_dist.steps.state import State
 
 if TYPE_CHECKING:
@@ -39,9 +39,9 @@ class OnlineOnly(Sampler):
     def create(cls, settings: OnlineOnlySection, setting: Setting, capacity: int) -> Sampler:
         return cls(setting.description.algorithm.batch_size)
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         shape = (updates, self.batch_size)
         return {"batch": random.integers(extent.offline, extent.size, shape)}
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        return Selection(draws["batch"], draws["batch"])
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        return Selection(sampled["batch"], sampled["batch"])

@@ -13,7 +13,7 @@ from pydantic import Field
 from otc_dist.description.sampling import Arm, SamplingSection
 from otc_dist.otc.samplers.interface import Extent, Gathered, Indices, Sampler, Selection
 from otc_dist.otc.samplers.mixing import with_online
-from otc_dist.steps.draws import Draws
+from otc_dist.steps.noise import Noise
 from otc_dist.steps.state import State
 
 if TYPE_CHECKING:
@@ -56,8 +56,8 @@ class Uniform(Sampler):
         batch = setting.description.algorithm.batch_size
         return with_online(cls, settings.online_share, batch)
 
-    def draw(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
+    def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         return {"batch": random.integers(0, extent.size, (updates, self.batch_size))}
 
-    def select(self, state: State, gathered: Gathered, draws: Draws) -> Selection:
-        return Selection(draws["batch"], draws["batch"])
+    def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
+        return Selection(sampled["batch"], sampled["batch"])

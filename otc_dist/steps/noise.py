@@ -1,6 +1,6 @@
-"""Random arrays in bulk: what one update needs, drawn for a block of updates at once.
+"""Random arrays in bulk: what one update needs, sampled for a block of updates at once.
 
-Drawing outside the step keeps it pure, costs less than drawing inside it, and lets every engine
+Sampling outside the step keeps it pure, costs less than sampling inside it, and lets every engine
 see the same numbers.
 """
 
@@ -17,22 +17,22 @@ from otc_dist.system.lazy import torch
 if TYPE_CHECKING:
     from torch import Tensor
 
-Draws = Mapping[str, "Tensor"]
+Noise = Mapping[str, "Tensor"]  # random arrays by name, of one update or one action
 
 
-class Draw(NamedTuple):
+class NoiseSpec(NamedTuple):
     """A random float32 array that one update needs: its distribution and its shape."""
 
     kind: Literal["normal", "exponential", "uniform"]  # standard ones; uniform in [0, 1)
     shape: tuple[int, ...]
 
 
-def draw(
-    random: np.random.Generator, wanted: Mapping[str, Draw], count: int
+def sample_noise(
+    random: np.random.Generator, specs: Mapping[str, NoiseSpec], count: int
 ) -> dict[str, NDArray[np.float32]]:
-    """The wanted arrays for `count` updates, each (count, *shape)."""
+    """Arrays as `specs` describe them for `count` updates, each (count, *shape)."""
     arrays = {}
-    for name, (kind, shape) in wanted.items():
+    for name, (kind, shape) in specs.items():
         size = (count, *shape)
         if kind == "normal":
             arrays[name] = random.standard_normal(size, dtype=np.float32)
