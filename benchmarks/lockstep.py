@@ -30,7 +30,7 @@ import msgpack
 import numpy as np
 
 from otc_dist.bus.codec import AgentCodec
-from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
+from otc_dist.bus.endpoints import Endpoint, local_endpoint, remove_local_endpoint
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.lockstep import HostLockstep, LearnerLockstep
@@ -109,7 +109,7 @@ def _agents(target: Callable[..., None], *arguments: object) -> Iterator[None]:
 
 def _our_agent(index: int, endpoint: str) -> None:
     agent = TEAM.agents[index]
-    with Session.connect(Door(endpoint), QUICK_PAYLOAD) as session:
+    with Session.connect(Endpoint(endpoint), QUICK_PAYLOAD) as session:
         side = LearnerLockstep(session, Keys("bench", "digest"), agent, COPIES, Rejections())
         while True:
             asked = side.question(60.0)
@@ -123,7 +123,7 @@ def ours(folder: Path) -> Iterator[Step]:
     header = LogHeader("bench", 1, 0, "", "", TEAM, 1)
     writer = LogWriter.create(folder / "bench.mcap", header)
     seeds, state = np.zeros(1, np.int64), np.zeros((1, TEAM.state_size))
-    with Session.listen([Door(endpoint)], QUICK_PAYLOAD) as session, closing(writer):
+    with Session.listen([Endpoint(endpoint)], QUICK_PAYLOAD) as session, closing(writer):
         host = HostLockstep(
             session, Keys("bench", "digest"), TEAM.agents, COPIES, 60.0, Rejections()
         )

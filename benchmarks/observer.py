@@ -34,7 +34,7 @@ from pathlib import Path
 
 from lockstep import Step, ours
 
-from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
+from otc_dist.bus.endpoints import Endpoint, local_endpoint, remove_local_endpoint
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.session import Session
 
@@ -109,7 +109,7 @@ def puts() -> None:
     """Print how long `put` takes with each observer."""
     with tempfile.TemporaryDirectory(prefix="observer") as name:
         endpoint = local_endpoint(Path(name))
-        with Session.listen([Door(endpoint)], QUICK_PAYLOAD) as session:
+        with Session.listen([Endpoint(endpoint)], QUICK_PAYLOAD) as session:
             put = session.publisher("otc/run/agent_0/observation")
             for kind in ("none", *KINDS):
                 with ExitStack() as watched:

@@ -285,7 +285,7 @@ def main() -> None:
         finally:
             session.close()
             if not arguments.connect:
-                remove_local_endpoint(run.local_door.endpoint)
+                remove_local_endpoint(run.local_bus.locator)
 
     serve(body)
 

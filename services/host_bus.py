@@ -7,13 +7,14 @@ from otc_dist.bus.handshake import claim
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.session import Session
 
-from .process import Run, door_at, patience
+from .process import Run, endpoint_at, patience
 
 
 def open_bus(run: Run, arguments: argparse.Namespace) -> Session:
     """The centre of the bus, or a client of a router.
 
-    Whatever the learners use, the launcher beside this process looks on through the local door.
+    Whatever the learners use, the launcher beside this process observes the run through the socket
+    of this machine.
 
     Raises:
         UserError: as `Session.listen` and `Session.connect`, or a bad endpoint or certificate.
@@ -21,7 +22,7 @@ def open_bus(run: Run, arguments: argparse.Namespace) -> Session:
     """
     maximum = run.maximum_payload
     if arguments.connect:
-        router = door_at(arguments.connect, HOST, arguments)
+        router = endpoint_at(arguments.connect, HOST, arguments)
         session = Session.connect(router, maximum, patience(run, arguments))
         try:
             claim(session, run.keys)  # where one listens, another cannot
@@ -29,9 +30,9 @@ def open_bus(run: Run, arguments: argparse.Namespace) -> Session:
             session.close()
             raise
         return session
-    local = run.local_door
+    local = run.local_bus
     if not arguments.listen:
         return Session.listen([local], maximum)
-    door = door_at(arguments.listen, HOST, arguments)
-    access = host_rules(run.keys, run.team.names) if door.identity else None
-    return Session.listen([door, local], maximum, access)
+    endpoint = endpoint_at(arguments.listen, HOST, arguments)
+    access = host_rules(run.keys, run.team.names) if endpoint.identity else None
+    return Session.listen([endpoint, local], maximum, access)

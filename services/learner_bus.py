@@ -10,7 +10,7 @@ from otc_dist.bus.session import Session
 from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
 
-from .process import Run, door_at, patience
+from .process import Run, endpoint_at, patience
 
 
 @contextmanager
@@ -24,9 +24,9 @@ def open_bus(
         GaveUpError: nobody answers in time.
     """
     there = arguments.connect
-    door = door_at(there, agent, arguments) if there else run.local_door
+    endpoint = endpoint_at(there, agent, arguments) if there else run.local_bus
     deadline = patience(run, arguments)
-    with Session.connect(door, run.maximum_payload, deadline) as session:
+    with Session.connect(endpoint, run.maximum_payload, deadline) as session:
         router = bool(run.description.bus.router)
         if there and not router:  # the env host has let us in, so it can answer
             deadline = run.description.bus.answer_deadline

@@ -14,7 +14,7 @@ from types import FrameType
 from typing import Self
 
 from otc_dist.bus.agreement import copies_by_phase, longest_message, run_spec
-from otc_dist.bus.endpoints import Door, door, local_endpoint
+from otc_dist.bus.endpoints import Endpoint, local_endpoint, parse_endpoint
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.replies import RunSpec
@@ -118,9 +118,9 @@ class Run:
         return longest_message(self.description, self.team)
 
     @cached_property
-    def local_door(self) -> Door:
+    def local_bus(self) -> Endpoint:
         """Where the bus is on one machine; the same as long as this process lives."""
-        return Door(local_endpoint(self.folder.root))
+        return Endpoint(local_endpoint(self.folder.root))
 
 
 def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParser:
@@ -172,15 +172,15 @@ def patience(run: Run, arguments: argparse.Namespace) -> float:
     return run.description.bus.answer_deadline if given is None else given
 
 
-def door_at(endpoint: str, process: str, arguments: argparse.Namespace) -> Door:
-    """The door of `process` at an endpoint that the command line names; UserError as `door`."""
-    opened = door(endpoint, process, arguments.certs, arguments.insecure)
+def endpoint_at(locator: str, process: str, arguments: argparse.Namespace) -> Endpoint:
+    """The endpoint of `process` that the command line names; UserError as `parse_endpoint`."""
+    endpoint = parse_endpoint(locator, process, arguments.certs, arguments.insecure)
     if arguments.insecure:
         log.warning(
             "WARNING: --insecure: whoever reaches %s can read this run, act in it and end it",
-            endpoint,
+            locator,
         )
-    return opened
+    return endpoint
 
 
 def serve(body: Callable[[], None]) -> None:

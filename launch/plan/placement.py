@@ -9,10 +9,10 @@ from typing import Literal, Self
 
 from otc_dist.bus.diagnosis import absence, refusal
 from otc_dist.bus.endpoints import (
-    Door,
-    door,
+    Endpoint,
     local_endpoint,
     local_socket,
+    parse_endpoint,
     remove_local_endpoint,
 )
 from otc_dist.bus.keys import HOST, OBSERVER
@@ -105,7 +105,7 @@ class Placement:
             raise UserError(f"{flag} is for runs on several hosts: on one, nobody else gets in")
         for endpoint in filter(None, (self.listen, self.connect)):
             for process in self.processes(team):
-                door(endpoint, process, self._folder, self.insecure)
+                parse_endpoint(endpoint, process, self._folder, self.insecure)
         if self.role != "learner" and self.connect:
             self.observed_at(Path())
 
@@ -153,11 +153,11 @@ class Placement:
         """In words, for whom the processes of this machine wait now; "" if somebody is there."""
         return (absence(self.observed_at(Path())) if self.connect else None) or ""
 
-    def observed_at(self, run: Path) -> Door:
+    def observed_at(self, run: Path) -> Endpoint:
         """Where the launcher itself looks on: as the learner that it starts, or as an observer."""
         if not self.connect:
-            return Door(local_endpoint(run))
-        return door(self.connect, self.agent or OBSERVER, self._folder, self.insecure)
+            return Endpoint(local_endpoint(run))
+        return parse_endpoint(self.connect, self.agent or OBSERVER, self._folder, self.insecure)
 
     def local_socket(self, run: Path) -> Path | None:
         """The socket at which the env host listens for this machine; None: it does not.

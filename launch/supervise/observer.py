@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from otc_dist.bus.diagnosis import absence
-from otc_dist.bus.endpoints import Door, local_socket
+from otc_dist.bus.endpoints import Endpoint, local_socket
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.messages import Status
 from otc_dist.bus.session import Session
@@ -52,9 +52,9 @@ def observing(plan: Plan, run: str, take: Callable[[Sign | Waiting], None]) -> I
     Raises:
         UserError: there is no place for the bus of this machine, or no certificate.
     """
-    over, door = threading.Event(), plan.placement.observed_at(plan.folder.root)
+    over, endpoint = threading.Event(), plan.placement.observed_at(plan.folder.root)
     # A thread of its own, since the env host may take seconds before it listens.
-    listener = threading.Thread(target=_listen, args=(plan, run, door, take, over), daemon=True)
+    listener = threading.Thread(target=_listen, args=(plan, run, endpoint, take, over), daemon=True)
     listener.start()
     try:
         yield
@@ -70,31 +70,31 @@ def nobody_of_run(plan: Plan, run: str) -> str:
     if plan.placement.role != "learner":
         return ""
     there = threading.Event()
-    door, maximum = (
+    endpoint, maximum = (
         plan.placement.observed_at(plan.folder.root),
         plan.description.bus.maximum_payload,
     )
     try:
-        session = Session.connect(door, maximum, timeout=_PATIENCE)
+        session = Session.connect(endpoint, maximum, timeout=_PATIENCE)
     except UserError:
         return ""
     with session:
         keys = Keys(run, plan.description.shared_digest())
         session.watch_alive(keys.alive(HOST), lambda alive: there.set() if alive else None)
-        return "" if there.wait(_PATIENCE) else _stranger(door, run)
+        return "" if there.wait(_PATIENCE) else _stranger(endpoint, run)
 
 
-def _stranger(door: Door, run: str) -> str:
+def _stranger(endpoint: Endpoint, run: str) -> str:
     return (
-        f"waiting for {door.endpoint}: no env host of run {run!r} is there; does it run this very"
-        " description (its name, --set and --seed)?"
+        f"waiting for {endpoint.locator}: no env host of run {run!r} is there; does it run this"
+        " very description (its name, --set and --seed)?"
     )
 
 
 def _listen(
     plan: Plan,
     run: str,
-    door: Door,
+    endpoint: Endpoint,
     take: Callable[[Sign | Waiting], None],
     over: threading.Event,
 ) -> None:
@@ -114,16 +114,16 @@ def _listen(
     def tell(linked: bool) -> float:
         if not plan.placement.connect or time.monotonic() < told + TELL_EVERY:
             return told
-        there = f"waiting for {door.endpoint}: somebody is there, but no link comes about"
-        take(Waiting(_stranger(door, run) if linked else absence(door) or there))
+        there = f"waiting for {endpoint.locator}: somebody is there, but no link comes about"
+        take(Waiting(_stranger(endpoint, run) if linked else absence(endpoint) or there))
         return time.monotonic()
 
     while not over.is_set():
         try:
             # A folder that has gone with somebody's clean-up may be made elsewhere.
-            door = plan.placement.observed_at(plan.folder.root)
-            socket = local_socket(door.endpoint)
-            session = Session.connect(door, maximum, timeout=_PATIENCE)
+            endpoint = plan.placement.observed_at(plan.folder.root)
+            socket = local_socket(endpoint.locator)
+            session = Session.connect(endpoint, maximum, timeout=_PATIENCE)
         except UserError:
             told = tell(linked=False)  # nobody listens yet
             continue

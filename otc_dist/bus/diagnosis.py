@@ -4,7 +4,7 @@ import socket
 import ssl
 
 from otc_dist.bus.addresses import is_ipv6
-from otc_dist.bus.endpoints import TLS, Door
+from otc_dist.bus.endpoints import TLS, Endpoint
 from otc_dist.bus.identity import Identity
 
 _PATIENCE = 1.0  # seconds for each step
@@ -22,29 +22,29 @@ _ALERTS = {
 }
 
 
-def refusal(door: Door) -> str | None:
-    """One line on why `door` stays shut; None if nobody listens there, or nothing is wrong.
+def refusal(endpoint: Endpoint) -> str | None:
+    """One line on why `endpoint` accepts no link; None if nobody listens, or nothing is wrong.
 
     It opens a connection of its own, and looks at how that ends.
     """
-    address = _address(door)
+    address = _address(endpoint)
     if address is None:
         return None
-    if not door.endpoint.startswith(TLS):
+    if not endpoint.locator.startswith(TLS):
         check = _of_plain
     elif is_ipv6(address[0]):  # its TLS takes the brackets for a part of the name (Zenoh 1.10)
-        return f"{door.endpoint}: Zenoh links to no IPv6 address by TLS; connect to a name of it"
+        return f"{endpoint.locator}: Zenoh links to no IPv6 address by TLS; connect to a name of it"
     else:
         check = _of_tls
     try:
-        return check(door, address)
+        return check(endpoint, address)
     except OSError:  # nobody there, or nobody who answers
         return None
 
 
-def absence(door: Door) -> str | None:
-    """One line on whom `door` waits for; None if somebody answers there, or nothing can tell."""
-    address = _address(door)
+def absence(endpoint: Endpoint) -> str | None:
+    """One line on what is missing at `endpoint`; None if somebody answers, or if unknown."""
+    address = _address(endpoint)
     if address is None:
         return None
     try:
@@ -57,23 +57,23 @@ def absence(door: Door) -> str | None:
         )
     else:
         return None
-    return f"waiting for {door.endpoint}: {reason}"
+    return f"waiting for {endpoint.locator}: {reason}"
 
 
-def _address(door: Door) -> tuple[str, int] | None:
-    protocol, _, place = door.endpoint.partition("/")
+def _address(endpoint: Endpoint) -> tuple[str, int] | None:
+    protocol, _, place = endpoint.locator.partition("/")
     host, _, port = place.rpartition(":")
     if protocol not in ("tls", "tcp") or not port.isdecimal():
         return None
     return host.strip("[]"), int(port)
 
 
-def _of_tls(door: Door, address: tuple[str, int]) -> str | None:
-    where = door.endpoint
+def _of_tls(endpoint: Endpoint, address: tuple[str, int]) -> str | None:
+    where = endpoint.locator
     try:
         with (
             socket.create_connection(address, _PATIENCE) as connection,
-            _context(door.identity).wrap_socket(connection, server_hostname=address[0]) as tls,
+            _context(endpoint.identity).wrap_socket(connection, server_hostname=address[0]) as tls,
         ):
             tls.recv(1)  # a server looks at our certificate after we have looked at its
             return None
@@ -106,7 +106,7 @@ def _answers_without_tls(address: tuple[str, int]) -> bool:
         return connection.recv(1) not in (b"", _TLS_ALERT)
 
 
-def _of_plain(door: Door, address: tuple[str, int]) -> str | None:
+def _of_plain(endpoint: Endpoint, address: tuple[str, int]) -> str | None:
     """Whether a server that was asked without TLS speaks TLS."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
@@ -116,8 +116,8 @@ def _of_plain(door: Door, address: tuple[str, int]) -> str | None:
     except ssl.SSLError as error:
         if "ALERT" not in (error.reason or ""):
             return None
-    place = door.endpoint.partition("/")[2]
-    return f"{door.endpoint} speaks TLS: use tls/{place} with --certs DIR"
+    place = endpoint.locator.partition("/")[2]
+    return f"{endpoint.locator} speaks TLS: use tls/{place} with --certs DIR"
 
 
 def _context(identity: Identity | None) -> ssl.SSLContext:

@@ -25,50 +25,51 @@ _FOLDER, _NAME = ".bus", "bus"  # in a run's folder; the socket in that
 
 
 @dataclass(frozen=True)
-class Door:
-    """An endpoint to listen on or to connect to, and who one is there.
+class Endpoint:
+    """Where to listen or to connect to, and as whom.
 
     Attributes:
+        locator: as Zenoh writes it: tls/192.0.2.1:7447.
         identity: for TLS; None elsewhere.
     """
 
-    endpoint: str
+    locator: str
     identity: Identity | None = None
 
     @property
     def settings(self) -> dict[str, object]:
-        """Zenoh's settings for this door beside the endpoint itself."""
+        """Zenoh's settings for this endpoint beside its locator."""
         return self.identity.settings() if self.identity else {}
 
 
-def door(endpoint: str, process: str, certs: Path | None, insecure: bool) -> Door:
-    """The door of `process` at `endpoint`.
+def parse_endpoint(locator: str, process: str, certs: Path | None, insecure: bool) -> Endpoint:
+    """The endpoint of `process` at `locator`, with its certificate.
 
     Raises:
-        UserError: no endpoint, one without TLS though nobody said `--insecure`, or no certificate.
+        UserError: no locator, one without TLS though nobody said `--insecure`, or no certificate.
     """
-    if not re.fullmatch(r"[a-z][a-z-]+/.+", endpoint):
-        raise UserError(f"{endpoint!r} is no endpoint: write it as tls/192.0.2.1:7447")
+    if not re.fullmatch(r"[a-z][a-z-]+/.+", locator):
+        raise UserError(f"{locator!r} is not a valid endpoint: write it as tls/192.0.2.1:7447")
     if insecure and certs is not None:
         raise UserError("--certs and --insecure contradict each other: leave out one")
-    if endpoint.startswith(SOCKET):
-        return Door(endpoint)
-    rest = endpoint.partition("/")[2]
+    if locator.startswith(SOCKET):
+        return Endpoint(locator)
+    rest = locator.partition("/")[2]
     if not re.search(r":\d+$", rest):
-        raise UserError(f"{endpoint} has no port: write {endpoint}:7447")
-    _check_host(rest.rpartition(":")[0], endpoint)
-    if endpoint.startswith(TLS):
+        raise UserError(f"{locator} has no port: write {locator}:7447")
+    _check_host(rest.rpartition(":")[0], locator)
+    if locator.startswith(TLS):
         if certs is None:
             raise UserError(
-                f"{endpoint} needs --certs DIR, with certificates of python -m otc_dist.certs DIR"
+                f"{locator} needs --certs DIR, with certificates of python -m otc_dist.certs DIR"
             )
-        return Door(endpoint, Identity.load(certs, process))
+        return Endpoint(locator, Identity.load(certs, process))
     if not insecure:
         raise UserError(
-            f"{endpoint} is open to everybody who can reach it: use tls/{rest} with --certs DIR,"
+            f"{locator} is open to everybody who can reach it: use tls/{rest} with --certs DIR,"
             " or say --insecure"
         )
-    return Door(endpoint)
+    return Endpoint(locator)
 
 
 def _check_host(host: str, endpoint: str) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 from otc_dist.bus.diagnosis import refusal
-from otc_dist.bus.endpoints import Door
+from otc_dist.bus.endpoints import Endpoint
 from otc_dist.bus.links import configuration, zenoh
 from otc_dist.terminal.errors import UserError
 
@@ -77,43 +77,46 @@ class Session:
 
     @classmethod
     def listen(
-        cls, doors: Sequence[Door], maximum_payload: int, access: Mapping[str, object] | None = None
+        cls,
+        endpoints: Sequence[Endpoint],
+        maximum_payload: int,
+        access: Mapping[str, object] | None = None,
     ) -> Self:
         """Open the star's centre. Its links are quick if no message is long: see `links`.
 
         Args:
-            access: who may do what there (see `access`); None: all who can enter, everything.
+            access: who may do what there (see `access`); None: any client may do everything.
 
         Raises:
             UserError: an endpoint is in use or cannot be listened on.
         """
-        endpoints = [door.endpoint for door in doors]
-        settings: dict[str, object] = {"listen/endpoints": endpoints}
-        for door in doors:
-            settings |= door.settings
+        locators = [endpoint.locator for endpoint in endpoints]
+        settings: dict[str, object] = {"listen/endpoints": locators}
+        for endpoint in endpoints:
+            settings |= endpoint.settings
         if access is not None:
             settings["access_control"] = access
         try:
             return cls(zenoh.open(configuration("router", maximum_payload, settings)))
         except zenoh.ZError as error:
             raise UserError(
-                f"cannot listen on {' or '.join(endpoints)}: it is in use, not permitted or no"
+                f"cannot listen on {' or '.join(locators)}: it is in use, not permitted or no"
                 f" endpoint ({_first_line(error)})"
             ) from None
 
     @classmethod
-    def connect(cls, door: Door, maximum_payload: int, timeout: float = 30.0) -> Self:
+    def connect(cls, endpoint: Endpoint, maximum_payload: int, timeout: float = 30.0) -> Self:
         """Open a session of a learner or an observer; it reconnects by itself when cut off.
 
         Raises:
-            UserError: nobody listens within `timeout` seconds; or, within a few seconds, who
-                listens is refused or refuses.
+            UserError: nobody listens within `timeout` seconds; or, within a few seconds, the
+                listener is refused or refuses.
         """
         end, attempt = time.monotonic() + timeout, _ATTEMPT
         while True:
             left = end - time.monotonic()
             settings: dict[str, object] = {
-                "connect/endpoints": [door.endpoint],
+                "connect/endpoints": [endpoint.locator],
                 "connect/timeout_ms": int(1000 * max(0.0, min(left, attempt))),
                 "connect/exit_on_failure": True,
                 "connect/retry": {
@@ -121,16 +124,16 @@ class Session:
                     "period_max_ms": 500,
                     "period_increase_factor": 2,
                 },
-                **door.settings,
+                **endpoint.settings,
             }
             try:
                 return cls(zenoh.open(configuration("client", maximum_payload, settings)))
             except zenoh.ZError as error:
-                if reason := refusal(door):
+                if reason := refusal(endpoint):
                     raise UserError(reason) from None
                 if left <= attempt:
                     raise UserError(
-                        f"nobody listens on {door.endpoint} after {timeout:.0f} s: does the env"
+                        f"nobody listens on {endpoint.locator} after {timeout:.0f} s: does the env"
                         f" host run? ({_first_line(error)})"
                     ) from None
                 attempt = min(2 * attempt, _LONGEST_ATTEMPT)

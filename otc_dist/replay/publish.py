@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from otc_dist.bus.agreement import longest_message
-from otc_dist.bus.endpoints import Door, local_endpoint, remove_local_endpoint
+from otc_dist.bus.endpoints import Endpoint, local_endpoint, remove_local_endpoint
 from otc_dist.bus.history import Read
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.lockstep import GaveUpError
@@ -202,7 +202,7 @@ def _prepare_learners(
 def _centre(root: Path, maximum_payload: int) -> Iterator[Session]:
     """The bus of the run folder `root`, with this process as its centre."""
     endpoint = local_endpoint(root)
-    session = Session.listen([Door(endpoint)], maximum_payload)
+    session = Session.listen([Endpoint(endpoint)], maximum_payload)
     try:
         yield session
     finally:

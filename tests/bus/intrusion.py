@@ -7,7 +7,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-from otc_dist.bus.endpoints import door
+from otc_dist.bus.endpoints import parse_endpoint
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
 
@@ -52,7 +52,7 @@ class Bus:
         endpoint = f"tls/127.0.0.1:{free_port()}"
 
         def opened(name: str, mode: str, **settings: object) -> Any:
-            identity = door(endpoint, name, folder, insecure=False)
+            identity = parse_endpoint(endpoint, name, folder, insecure=False)
             config = configuration(mode, QUICK_PAYLOAD, {**identity.settings, **settings})
             return closing.enter_context(zenoh.open(config))
 

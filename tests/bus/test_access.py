@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from otc_dist.bus.access import host_rules, router_rules
-from otc_dist.bus.endpoints import Door, door
+from otc_dist.bus.endpoints import Endpoint, parse_endpoint
 from otc_dist.bus.keys import HOST, OBSERVER
 from otc_dist.bus.links import QUICK_PAYLOAD, zenoh
 from otc_dist.bus.session import Session
@@ -67,7 +67,7 @@ def _router(folder: Path, endpoint: str, rules: dict[str, object]) -> Iterator[N
         "mode": "router",
         "listen/endpoints": [endpoint],
         "access_control": rules,
-        **door(endpoint, HOST, folder, insecure=False).settings,
+        **parse_endpoint(endpoint, HOST, folder, insecure=False).settings,
     }
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
@@ -80,20 +80,23 @@ def test_who_only_looks_hears_statuses_and_nothing_else(
     folder: Path, endpoint: str, through: str
 ) -> None:
     at = f"tls/127.0.0.1:{free_port()}"
-    named = {name: door(at, name, folder, insecure=False) for name in (HOST, "agent_1", OBSERVER)}
+    named = {
+        name: parse_endpoint(at, name, folder, insecure=False)
+        for name in (HOST, "agent_1", OBSERVER)
+    }
     with ExitStack() as closing:
 
-        def connected(where: Door) -> Session:
+        def connected(where: Endpoint) -> Session:
             return closing.enter_context(Session.connect(where, QUICK_PAYLOAD, PATIENCE))
 
         if through == "a router":
             closing.enter_context(_router(folder, at, router_rules(KEYS, AGENTS)))
             host = connected(named[HOST])
         else:
-            doors, rules = [named[HOST], Door(endpoint)], host_rules(KEYS, AGENTS)
-            host = closing.enter_context(Session.listen(doors, QUICK_PAYLOAD, rules))
+            endpoints, rules = [named[HOST], Endpoint(endpoint)], host_rules(KEYS, AGENTS)
+            host = closing.enter_context(Session.listen(endpoints, QUICK_PAYLOAD, rules))
         learner = connected(named["agent_1"])
-        observer = connected(Door(endpoint) if "socket" in through else named[OBSERVER])
+        observer = connected(Endpoint(endpoint) if "socket" in through else named[OBSERVER])
 
         heard: queue.Queue[bytes] = queue.Queue()
         entered: list[bytes] = []
@@ -131,7 +134,7 @@ def test_through_a_router_with_rules_passes_what_a_run_needs(folder: Path) -> No
     endpoint = f"tls/127.0.0.1:{free_port()}"
 
     def opened(name: str) -> Session:
-        at = door(endpoint, name, folder, insecure=False)
+        at = parse_endpoint(endpoint, name, folder, insecure=False)
         return closing.enter_context(Session.connect(at, QUICK_PAYLOAD, PATIENCE))
 
     with ExitStack() as closing:

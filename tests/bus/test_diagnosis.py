@@ -7,7 +7,7 @@ import pytest
 
 from otc_dist.bus import session
 from otc_dist.bus.diagnosis import absence, refusal
-from otc_dist.bus.endpoints import Door
+from otc_dist.bus.endpoints import Endpoint
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.terminal.errors import UserError
 
@@ -18,8 +18,8 @@ from .conftest import free_port
 def test_an_address_where_nobody_answers_is_said(protocol: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         there = f"{protocol}/127.0.0.1:{server.getsockname()[1]}"
-        assert absence(Door(there)) is None
-    assert absence(Door(there)) == (
+        assert absence(Endpoint(there)) is None
+    assert absence(Endpoint(there)) == (
         f"waiting for {there}: nobody answers there yet; start the env host (or the router), or"
         " check the address"
     )
@@ -30,16 +30,16 @@ def test_a_name_that_nobody_knows_is_said(monkeypatch: pytest.MonkeyPatch) -> No
         raise socket.gaierror
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    said = absence(Door("tls/learners.example.org:7447"))
+    said = absence(Endpoint("tls/learners.example.org:7447"))
     assert said is not None and "this machine knows no learners.example.org" in said
 
 
 def test_of_the_socket_of_one_machine_nothing_is_said(endpoint: str) -> None:
-    assert absence(Door(endpoint)) is None and refusal(Door(endpoint)) is None
+    assert absence(Endpoint(endpoint)) is None and refusal(Endpoint(endpoint)) is None
 
 
 def test_what_zenoh_cannot_link_to_is_refused_at_once() -> None:
-    said = refusal(Door("tls/[2001:db8::1]:7447"))
+    said = refusal(Endpoint("tls/[2001:db8::1]:7447"))
     assert said is not None and "no IPv6 address by TLS" in said
 
 
@@ -59,5 +59,5 @@ def test_who_comes_late_and_refuses_is_told_of_as_soon_as_who_was_there(
     monkeypatch.setattr(session, "_LONGEST_ATTEMPT", 0.05)
     monkeypatch.setattr(session, "refusal", lambda _: "refused" if len(tried) == 8 else None)
     with pytest.raises(UserError, match="refused"):
-        session.Session.connect(Door(f"tcp/127.0.0.1:{free_port()}"), QUICK_PAYLOAD, 600.0)
+        session.Session.connect(Endpoint(f"tcp/127.0.0.1:{free_port()}"), QUICK_PAYLOAD, 600.0)
     assert tried == [10, 20, 40, 50, 50, 50, 50, 50]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from otc_dist.bus.codec import AgentCodec
-from otc_dist.bus.endpoints import Door
+from otc_dist.bus.endpoints import Endpoint
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.lockstep import GaveUpError, HostLockstep, LearnerLockstep
 from otc_dist.bus.messages import Action, Moment, Observation, Status
@@ -45,7 +45,7 @@ class Learners:
         self.log: list[list[Moment]] = [[] for _ in AGENTS]
         self.rejections = [Rejections() for _ in AGENTS]
         self._over = threading.Event()
-        self._sessions = [Session.connect(Door(endpoint), 4096, PATIENCE) for _ in AGENTS]
+        self._sessions = [Session.connect(Endpoint(endpoint), 4096, PATIENCE) for _ in AGENTS]
         self._threads = []
         for index, (session, agent) in enumerate(zip(self._sessions, AGENTS, strict=True)):
             side = LearnerLockstep(session, KEYS, agent, COPIES, self.rejections[index])
@@ -80,7 +80,7 @@ def _bus(
     deadline: float = PATIENCE,
 ) -> Iterator[tuple[HostLockstep, Learners, Session, Rejections]]:
     rejections = Rejections()
-    with Session.listen([Door(endpoint)], 4096) as session:
+    with Session.listen([Endpoint(endpoint)], 4096) as session:
         host = HostLockstep(session, KEYS, AGENTS, COPIES, deadline, rejections)
         learners = Learners(endpoint, answer)
         try:
@@ -190,7 +190,7 @@ def test_a_learner_whose_process_has_just_gone_is_given_the_time_to_come_again(
 ) -> None:
     """Its launcher has ended it a moment before the env host would have given up."""
     gone, deadline = [-math.inf], 0.5
-    with Session.listen([Door(endpoint)], 4096) as session:
+    with Session.listen([Endpoint(endpoint)], 4096) as session:
         lockstep = HostLockstep(
             session, KEYS, AGENTS, COPIES, deadline, Rejections(), lambda _: gone[0]
         )
@@ -207,8 +207,8 @@ def test_a_restarted_process_is_heard_whatever_its_clock_says(endpoint: str) -> 
     said: list[bytes] = []
     rejections, phase = Rejections(), ["offline"]
     with (
-        Session.listen([Door(endpoint)], 4096) as session,
-        Session.connect(Door(endpoint), 4096, PATIENCE) as learner,
+        Session.listen([Endpoint(endpoint)], 4096) as session,
+        Session.connect(Endpoint(endpoint), 4096, PATIENCE) as learner,
     ):
         session.subscribe(KEYS.status("agent_0"), said.append)
         board.append(StatusBoard(session, KEYS, ("agent_0",), rejections))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from otc_dist.bus import handshake
-from otc_dist.bus.endpoints import Door
+from otc_dist.bus.endpoints import Endpoint
 from otc_dist.bus.handshake import agree, claim, offer
 from otc_dist.bus.keys import Keys
 from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
@@ -35,34 +35,34 @@ def test_a_used_port_is_one_clear_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(UserError, match="in use") as error:
-            Session.listen([Door(endpoint)], 1024)
+            Session.listen([Endpoint(endpoint)], 1024)
     assert "\n" not in str(error.value)
 
 
 def test_a_second_host_of_the_same_run_is_refused(endpoint: str) -> None:
-    with Session.listen([Door(endpoint)], 1024), pytest.raises(UserError, match="in use"):
-        Session.listen([Door(endpoint)], 1024)
+    with Session.listen([Endpoint(endpoint)], 1024), pytest.raises(UserError, match="in use"):
+        Session.listen([Endpoint(endpoint)], 1024)
 
 
 def test_a_killed_host_leaves_nothing_that_stops_the_next(endpoint: str) -> None:
     path = Path(endpoint.removeprefix("unixsock-stream/"))
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(path))
-    with Session.listen([Door(endpoint)], 1024):
-        Session.connect(Door(endpoint), 1024, timeout=PATIENCE).close()
+    with Session.listen([Endpoint(endpoint)], 1024):
+        Session.connect(Endpoint(endpoint), 1024, timeout=PATIENCE).close()
 
 
 def test_nobody_listening_is_one_clear_line(endpoint: str) -> None:
     with pytest.raises(UserError, match="nobody listens") as error:
-        Session.connect(Door(endpoint), 1024, timeout=0.2)
+        Session.connect(Endpoint(endpoint), 1024, timeout=0.2)
     assert "\n" not in str(error.value)
 
 
 def test_payloads_beyond_the_cap_do_not_arrive(endpoint: str) -> None:
     received: queue.Queue[int] = queue.Queue()
     with (
-        Session.listen([Door(endpoint)], 2048) as host,
-        Session.connect(Door(endpoint), 2048) as client,
+        Session.listen([Endpoint(endpoint)], 2048) as host,
+        Session.connect(Endpoint(endpoint), 2048) as client,
     ):
         host.subscribe("a/key", lambda payload: received.put(len(payload)))
         # The client learns of the subscription through its connection; a query is behind it.
@@ -82,8 +82,8 @@ def test_queries_carry_parameters_and_refusals(endpoint: str) -> None:
         return repr(parameters).encode()
 
     with (
-        Session.listen([Door(endpoint)], 2048) as host,
-        Session.connect(Door(endpoint), 2048) as client,
+        Session.listen([Endpoint(endpoint)], 2048) as host,
+        Session.connect(Endpoint(endpoint), 2048) as client,
     ):
         host.answer("a/key", reply)
         answer = None
@@ -96,7 +96,10 @@ def test_queries_carry_parameters_and_refusals(endpoint: str) -> None:
 
 def test_a_learner_of_another_description_is_told_so(endpoint: str) -> None:
     keys, agents = Keys("a-run", "theirs"), (AgentSpec("agent_0", 3, (-1.0,), (1.0,)),)
-    with Session.listen([Door(endpoint)], 2048) as host, Session.connect(Door(endpoint), 2048) as s:
+    with (
+        Session.listen([Endpoint(endpoint)], 2048) as host,
+        Session.connect(Endpoint(endpoint), 2048) as s,
+    ):
         offer(host, keys, RunSpec("an-env", agents, "theirs"))
         agree(s, keys, RunSpec("an-env", agents, "theirs"), PATIENCE, Rejections())
         for mine, says in (
@@ -120,10 +123,10 @@ def test_env_hosts_of_one_name_at_one_router_are_heard_by_their_own_learners_alo
     copies, phase = {"evaluation": 1}, Moment("evaluation", 0, 1, 0)
     question = Observation(phase, np.zeros((1, 3), np.float32), None)
     with ExitStack() as closing:
-        closing.enter_context(Session.listen([Door(endpoint)], 2048))
+        closing.enter_context(Session.listen([Endpoint(endpoint)], 2048))
 
         def client() -> Session:
-            return closing.enter_context(Session.connect(Door(endpoint), 2048, PATIENCE))
+            return closing.enter_context(Session.connect(Endpoint(endpoint), 2048, PATIENCE))
 
         hosts, sides = {}, {}
         for mine in ("ours", "theirs"):
@@ -157,8 +160,11 @@ def test_a_second_env_host_of_the_very_same_run_at_a_router_is_refused(
 ) -> None:
     monkeypatch.setattr(handshake, "_LEAVING", 0.1)
     keys = Keys("a-run", "digest")
-    with Session.listen([Door(endpoint)], 2048), Session.connect(Door(endpoint), 2048) as second:
-        with Session.connect(Door(endpoint), 2048) as first:
+    with (
+        Session.listen([Endpoint(endpoint)], 2048),
+        Session.connect(Endpoint(endpoint), 2048) as second,
+    ):
+        with Session.connect(Endpoint(endpoint), 2048) as first:
             claim(first, keys)
             first.declare_alive(keys.alive("host"))
             end = time.monotonic() + PATIENCE
@@ -171,9 +177,9 @@ def test_a_second_env_host_of_the_very_same_run_at_a_router_is_refused(
 
 def test_liveliness_is_seen_to_come_and_to_go(endpoint: str) -> None:
     seen: queue.Queue[bool] = queue.Queue()
-    with Session.listen([Door(endpoint)], 2048) as host:
+    with Session.listen([Endpoint(endpoint)], 2048) as host:
         host.watch_alive("alive/x", seen.put)
-        client = Session.connect(Door(endpoint), 2048)
+        client = Session.connect(Endpoint(endpoint), 2048)
         client.declare_alive("alive/x")
         assert seen.get(timeout=PATIENCE) is True
         client.close()
@@ -181,7 +187,7 @@ def test_liveliness_is_seen_to_come_and_to_go(endpoint: str) -> None:
 
 
 def _freeze(endpoint: str) -> None:
-    with Session.connect(Door(endpoint), QUICK_PAYLOAD) as session:
+    with Session.connect(Endpoint(endpoint), QUICK_PAYLOAD) as session:
         session.inbox("t/question")
         session.declare_alive("t/alive")
         os.kill(os.getpid(), signal.SIGSTOP)
@@ -189,7 +195,7 @@ def _freeze(endpoint: str) -> None:
 
 def test_a_frozen_process_never_holds_up_who_asks_it_again(endpoint: str) -> None:
     present, gone = threading.Event(), threading.Event()
-    with Session.listen([Door(endpoint)], QUICK_PAYLOAD) as session:
+    with Session.listen([Endpoint(endpoint)], QUICK_PAYLOAD) as session:
         session.watch_alive("t/alive", lambda alive: (present if alive else gone).set())
         put = session.publisher("t/question")
         frozen = multiprocessing.get_context("spawn").Process(target=_freeze, args=(endpoint,))
@@ -213,8 +219,8 @@ def test_quick_and_ordinary_sessions_understand_each_other(
     endpoint: str, host: int, client: int
 ) -> None:
     with (
-        Session.listen([Door(endpoint)], host) as one,
-        Session.connect(Door(endpoint), client) as other,
+        Session.listen([Endpoint(endpoint)], host) as one,
+        Session.connect(Endpoint(endpoint), client) as other,
     ):
         page = b"x" * QUICK_PAYLOAD
         one.answer("t/page", lambda _: page)
@@ -225,13 +231,13 @@ def test_quick_and_ordinary_sessions_understand_each_other(
 
 CENTRE = """
 import sys
-from otc_dist.bus.endpoints import Door
+from otc_dist.bus.endpoints import Endpoint
 from otc_dist.bus.session import Session
 
 def peak():
     return next(int(x.split()[1]) for x in open("/proc/self/status") if x.startswith("VmHWM"))
 
-with Session.listen([Door(sys.argv[1])], int(sys.argv[2])) as session:
+with Session.listen([Endpoint(sys.argv[1])], int(sys.argv[2])) as session:
     session.answer("a/key", lambda _: str(peak()).encode())
     print("up", flush=True)
     sys.stdin.read()

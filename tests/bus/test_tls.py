@@ -15,7 +15,7 @@ import pytest
 
 from otc_dist.bus.access import host_rules
 from otc_dist.bus.diagnosis import refusal
-from otc_dist.bus.endpoints import Door, door
+from otc_dist.bus.endpoints import Endpoint, parse_endpoint
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from otc_dist.bus.keys import HOST, OBSERVER, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD, configuration, zenoh
@@ -58,7 +58,7 @@ def expired(tmp_path_factory: pytest.TempPathFactory, ours: Path) -> Path:
 @pytest.fixture(scope="module")
 def listening(ours: Path) -> Iterator[str]:
     endpoint = f"tls/127.0.0.1:{free_port()}"
-    with Session.listen([door(endpoint, HOST, ours, insecure=False)], QUICK_PAYLOAD):
+    with Session.listen([parse_endpoint(endpoint, HOST, ours, insecure=False)], QUICK_PAYLOAD):
         yield endpoint
 
 
@@ -89,18 +89,20 @@ def test_who_holds_a_certificate_of_the_same_authority_is_let_in(
     listening: str, ours: Path
 ) -> None:
     for process in (*AGENTS, OBSERVER):
-        Session.connect(door(listening, process, ours, insecure=False), QUICK_PAYLOAD).close()
+        Session.connect(
+            parse_endpoint(listening, process, ours, insecure=False), QUICK_PAYLOAD
+        ).close()
 
 
 def test_the_launcher_looks_on_through_the_socket_of_its_machine(ours: Path, endpoint: str) -> None:
     keys = Keys("a-run", "digest")
-    outside, local = f"tls/127.0.0.1:{free_port()}", Door(endpoint)
-    doors = [door(outside, HOST, ours, insecure=False), local]
+    outside, local = f"tls/127.0.0.1:{free_port()}", Endpoint(endpoint)
+    endpoints = [parse_endpoint(outside, HOST, ours, insecure=False), local]
     rules = host_rules(keys, AGENTS)
     heard: list[bytes] = []
-    learner = door(outside, "agent_1", ours, insecure=False)
+    learner = parse_endpoint(outside, "agent_1", ours, insecure=False)
     with (
-        Session.listen(doors, QUICK_PAYLOAD, rules) as host,
+        Session.listen(endpoints, QUICK_PAYLOAD, rules) as host,
         Session.connect(local, QUICK_PAYLOAD) as launcher,
         Session.connect(learner, QUICK_PAYLOAD) as session,
     ):
@@ -122,11 +124,11 @@ def test_the_launcher_looks_on_through_the_socket_of_its_machine(ours: Path, end
 def test_another_authority_is_refused_by_both_sides(
     listening: str, ours: Path, theirs: Path
 ) -> None:
-    stranger = door(listening, "agent_1", theirs, insecure=False)
+    stranger = parse_endpoint(listening, "agent_1", theirs, insecure=False)
     message = _refusal(lambda: Session.connect(stranger, QUICK_PAYLOAD, PATIENCE))
     assert f"the certificate of {listening} is refused" in message
     # Even who has got hold of our authority's certificate, which is no secret, is refused.
-    pretender = Door(listening, _files(theirs, "agent_1", authority=ours / "agent_1"))
+    pretender = Endpoint(listening, _files(theirs, "agent_1", authority=ours / "agent_1"))
     message = _refusal(lambda: Session.connect(pretender, QUICK_PAYLOAD, PATIENCE))
     assert "trusts another authority than the one that issued our certificate" in message
 
@@ -136,21 +138,25 @@ def test_an_expired_certificate_is_refused_by_both_sides(
 ) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("otc_dist.bus.identity.datetime", _LastYear)
-        early = _refusal(lambda: door(listening, "agent_1", ours, insecure=False))
+        early = _refusal(lambda: parse_endpoint(listening, "agent_1", ours, insecure=False))
     assert "on: is this machine's clock right?" in early
-    assert "expired on" in _refusal(lambda: door(listening, "agent_1", expired, insecure=False))
-    late = Door(listening, _files(expired, "agent_1"))
+    assert "expired on" in _refusal(
+        lambda: parse_endpoint(listening, "agent_1", expired, insecure=False)
+    )
+    late = Endpoint(listening, _files(expired, "agent_1"))
     message = _refusal(lambda: Session.connect(late, QUICK_PAYLOAD, PATIENCE))
     assert "says that our certificate has expired" in message
     endpoint = f"tls/127.0.0.1:{free_port()}"
-    learner = door(endpoint, "agent_1", ours, insecure=False)
-    with Session.listen([Door(endpoint, _files(expired, HOST))], QUICK_PAYLOAD):
+    learner = parse_endpoint(endpoint, "agent_1", ours, insecure=False)
+    with Session.listen([Endpoint(endpoint, _files(expired, HOST))], QUICK_PAYLOAD):
         message = _refusal(lambda: Session.connect(learner, QUICK_PAYLOAD, PATIENCE))
     assert "certificate has expired" in message
 
 
 def test_no_certificate_is_no_way_in(listening: str, ours: Path) -> None:
-    assert "needs --certs DIR" in _refusal(lambda: door(listening, "agent_1", None, insecure=False))
+    assert "needs --certs DIR" in _refusal(
+        lambda: parse_endpoint(listening, "agent_1", None, insecure=False)
+    )
     # Not even for who speaks Zenoh and trusts our authority.
     settings = {
         "transport/link/tls/root_ca_certificate": str(ours / "agent_1" / AUTHORITY),
@@ -166,11 +172,11 @@ def test_no_certificate_is_no_way_in(listening: str, ours: Path) -> None:
 
 def test_plaintext_is_refused_by_both_sides(listening: str, ours: Path) -> None:
     plain = listening.replace("tls/", "tcp/")
-    message = _refusal(lambda: Session.connect(Door(plain), QUICK_PAYLOAD, PATIENCE))
+    message = _refusal(lambda: Session.connect(Endpoint(plain), QUICK_PAYLOAD, PATIENCE))
     assert f"use {listening} with --certs" in message
     plain = f"tcp/127.0.0.1:{free_port()}"
-    learner = door(plain.replace("tcp/", "tls/"), "agent_1", ours, insecure=False)
-    with Session.listen([Door(plain)], QUICK_PAYLOAD):
+    learner = parse_endpoint(plain.replace("tcp/", "tls/"), "agent_1", ours, insecure=False)
+    with Session.listen([Endpoint(plain)], QUICK_PAYLOAD):
         message = _refusal(lambda: Session.connect(learner, QUICK_PAYLOAD, PATIENCE))
     assert "does not speak TLS: does it run with --insecure?" in message
 
@@ -186,14 +192,14 @@ def test_a_host_that_dies_during_the_greeting_is_waited_for(ours: Path) -> None:
                     dying.accept()[0].close()
 
         threading.Thread(target=hang_up, daemon=True).start()
-        assert refusal(door(endpoint, "agent_0", ours, insecure=False)) is None
+        assert refusal(parse_endpoint(endpoint, "agent_0", ours, insecure=False)) is None
         dying.shutdown(socket.SHUT_RDWR)
 
 
 def test_a_learner_cannot_pose_as_the_env_host(ours: Path) -> None:
     endpoint = f"tls/127.0.0.1:{free_port()}"
-    learner = door(endpoint, "agent_0", ours, insecure=False)
-    with Session.listen([Door(endpoint, _files(ours, "agent_1"))], QUICK_PAYLOAD):
+    learner = parse_endpoint(endpoint, "agent_0", ours, insecure=False)
+    with Session.listen([Endpoint(endpoint, _files(ours, "agent_1"))], QUICK_PAYLOAD):
         message = _refusal(lambda: Session.connect(learner, QUICK_PAYLOAD, PATIENCE))
     assert "is refused" in message
 
@@ -201,8 +207,8 @@ def test_a_learner_cannot_pose_as_the_env_host(ours: Path) -> None:
 def test_a_host_by_another_name_is_refused(ours: Path, tmp_path: Path) -> None:
     elsewhere = _make(tmp_path / "certs", "learners.example.org")
     endpoint = f"tls/127.0.0.1:{free_port()}"
-    with Session.listen([door(endpoint, HOST, elsewhere, insecure=False)], QUICK_PAYLOAD):
-        learner = door(endpoint, "agent_0", elsewhere, insecure=False)
+    with Session.listen([parse_endpoint(endpoint, HOST, elsewhere, insecure=False)], QUICK_PAYLOAD):
+        learner = parse_endpoint(endpoint, "agent_0", elsewhere, insecure=False)
         message = _refusal(lambda: Session.connect(learner, QUICK_PAYLOAD, PATIENCE))
     assert "127.0.0.1" in message and "is refused" in message
 
@@ -224,7 +230,7 @@ def test_a_door_that_nobody_should_use(
     endpoint: str, insecure: bool, certificates: bool, says: str, ours: Path
 ) -> None:
     assert says in _refusal(
-        lambda: door(endpoint, "agent_0", ours if certificates else None, insecure)
+        lambda: parse_endpoint(endpoint, "agent_0", ours if certificates else None, insecure)
     )
 
 
@@ -235,10 +241,12 @@ def test_certificates_that_cannot_serve(ours: Path, theirs: Path, tmp_path: Path
         folder = tmp_path / str(time.monotonic_ns())
         shutil.copytree(ours, folder)
         change(folder / "agent_0")
-        return _refusal(lambda: door(endpoint, "agent_0", folder, insecure=False))
+        return _refusal(lambda: parse_endpoint(endpoint, "agent_0", folder, insecure=False))
 
     assert "is missing; python -m otc_dist.certs" in refused_with(lambda own: (own / KEY).unlink())
-    assert "no certificate of agent_7" in _refusal(lambda: door(endpoint, "agent_7", ours, False))
+    assert "no certificate of agent_7" in _refusal(
+        lambda: parse_endpoint(endpoint, "agent_7", ours, False)
+    )
     assert "is damaged" in refused_with(lambda own: (own / CERTIFICATE).write_text("nonsense"))
     for name, says in (
         (CERTIFICATE, "is agent_1's certificate, not agent_0's"),
@@ -309,5 +317,7 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path) -> Non
 
 def test_an_address_in_use_is_one_clear_line(ours: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        taken = door(f"tls/127.0.0.1:{server.getsockname()[1]}", HOST, ours, insecure=False)
+        taken = parse_endpoint(
+            f"tls/127.0.0.1:{server.getsockname()[1]}", HOST, ours, insecure=False
+        )
         assert "in use" in _refusal(lambda: Session.listen([taken], QUICK_PAYLOAD))

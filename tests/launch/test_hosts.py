@@ -44,7 +44,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["--role", "host", "--connect", "tls/a:1"], "--connect is for --role learner"),
         (["--role", "host", "--listen", "tls/0.0.0.0:7447"], "needs --certs DIR"),
         (["--role", "host", "--listen", "tls/0.0.0.0", "--certs", "certs"], "has no port"),
-        (["--role", "host", "--listen", "0.0.0.0:7447"], "'0.0.0.0:7447' is no endpoint"),
+        (["--role", "host", "--listen", "0.0.0.0:7447"], "'0.0.0.0:7447' is not a valid endpoint"),
         (["--role", "host", "--listen", "tcp/0.0.0.0:7447"], "or say --insecure"),
         ([*HOST, "--insecure"], "contradict each other"),
         ([*HOST, "--agent", "agent_0"], "--agent is for --role learner"),

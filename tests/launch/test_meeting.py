@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.bus.endpoints import Door, door
+from otc_dist.bus.endpoints import Endpoint, parse_endpoint
 from otc_dist.bus.identity import Identity
 from otc_dist.bus.keys import HOST, Keys
 from otc_dist.bus.links import QUICK_PAYLOAD
@@ -44,10 +44,10 @@ def port() -> int:
 def _host(folder: Path, port: int, whose: str) -> Session:
     """An env host's session with the certificates of that folder, which nobody has checked."""
     if whose == "nobody's":
-        return Session.listen([Door(f"tcp/127.0.0.1:{port}")], QUICK_PAYLOAD)
+        return Session.listen([Endpoint(f"tcp/127.0.0.1:{port}")], QUICK_PAYLOAD)
     own = folder / whose / HOST
     identity = Identity(own / "authority.pem", own / "certificate.pem", own / "key.pem")
-    return Session.listen([Door(f"tls/127.0.0.1:{port}", identity)], QUICK_PAYLOAD)
+    return Session.listen([Endpoint(f"tls/127.0.0.1:{port}", identity)], QUICK_PAYLOAD)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_whom_it_waits_for_is_said_from_time_to_time_until_the_link_is_there(
 
     monkeypatch.setattr(observer, "TELL_EVERY", 0.0)
     said = f"waiting for tls/127.0.0.1:{port}: nobody answers there yet"
-    own = door(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)
+    own = parse_endpoint(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)
     with observing(plan, "a-run", signs.put):
         assert waits() and waits()
         with Session.listen([own], QUICK_PAYLOAD) as session:
@@ -147,7 +147,7 @@ def test_a_learner_of_another_seed_is_told_at_once_and_from_time_to_time(
 ) -> None:
     monkeypatch.setattr(observer, "TELL_EVERY", 0.0)
     monkeypatch.setattr(observer, "_PATIENCE", 1.0)  # somebody is there already
-    own = door(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)
+    own = parse_endpoint(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)
     said = (
         f"waiting for tls/127.0.0.1:{port}: no env host of run '3agent_hopper-seed1' is there;"
         " does it run this very description (its name, --set and --seed)?"

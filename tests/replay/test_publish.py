@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from otc_dist.bus.codec import AgentCodec
-from otc_dist.bus.endpoints import Door, local_endpoint
+from otc_dist.bus.endpoints import Endpoint, local_endpoint
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Moment, decode_status
 from otc_dist.bus.session import Session
@@ -45,7 +45,7 @@ def heard(log: Path, run: Path, *arguments: str) -> dict[str, list[bytes]]:
 
     with (
         subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True) as publisher,
-        Session.connect(Door(local_endpoint(run)), 16_000, timeout=60) as session,
+        Session.connect(Endpoint(local_endpoint(run)), 16_000, timeout=60) as session,
     ):
         # One subscription: the publisher begins as soon as there is any.
         session.subscribe(f"otc/{read_header(log).run}/*/*/*", receive)

@@ -220,7 +220,7 @@ def test_mistakes_are_one_line_and_status_2(run: Services, tmp_path: Path) -> No
     cases = [
         (("env_host", "--run", str(tmp_path / "none")), "cannot read the description"),
         (("learner", "--run", root, "--agent", "agent_9"), "unknown agent 'agent_9'; did you mean"),
-        (("env_host", "--run", root, "--listen", "nonsense"), "'nonsense' is no endpoint"),
+        (("env_host", "--run", root, "--listen", "nonsense"), "'nonsense' is not a valid endpoint"),
         (("env_host", "--run", root, "--listen", "a", "--connect", "b"), "instead of --listen"),
         (("learner", "--run", root, "--agent", "agent_0", "--insecure"), "--insecure is for an"),
     ]
