@@ -1,11 +1,11 @@
-"""What a run does before and after its processes, command by command: data, compiling, report.
+"""What a run does before and after its processes, each by a command: data, compiling, report.
 
 They have no place on the bus, so they are judged by what they use: one that is killed, or stands
 still, is started again like a process of the run.
 """
 
-import itertools
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from ..supervise.health import FIRST_DELAY, LIMIT
 from ..supervise.processes import MISTAKE, DiedError
 from ..supervise.signals import Signals
 from ..supervise.standstill import Standstill
-from ..supervise.supervisor import End, Supervisor
+from ..supervise.supervisor import Supervisor
 
 _LOOK = 0.5  # seconds between two looks
 
@@ -29,45 +29,45 @@ def run_one_off(
     signals: Signals,
     patience: float,
 ) -> None:
-    """Run commands one after the other, each to a good end, showing their progress.
+    """Run commands side by side, each to a good end, showing their progress.
 
     Args:
+        commands: by name; none needs what another makes.
         output: where the command of that name prints.
         patience: seconds that a command may stand still.
 
     Raises:
         StoppedError: a signal came.
-        DiedError: a command failed, or was killed too often.
+        DiedError: a command failed, or was killed too often; the supervisor still has the others.
     """
-    for name, command in commands.items():
-        for restarts in itertools.count():
-            supervisor.start(name, command, output(name), show_errors=True)
-            end, why = _end(name, supervisor, signals, patience)
-            if end.status == 0:
-                break
-            manner = end.manner + (f", since it {why}" if why else "")
-            if end.status > 0 or restarts == LIMIT:  # what it said was shown as it came
-                raise DiedError(end, manner, restarts, told=end.status == MISTAKE)
-            delay = FIRST_DELAY * 2**restarts
-            again = f"starts again in {delay:g} s ({restarts + 1} of {LIMIT})"
-            print(f"{name}: {manner}; {again}", flush=True)
-            _pause(delay, signals)
-
-
-def _end(name: str, supervisor: Supervisor, signals: Signals, patience: float) -> tuple[End, str]:
-    """How a command ended, and why it was killed, if it was."""
-    why, standstill = "", Standstill(supervisor.pid(name), patience)
-    while True:
+    due = dict.fromkeys(commands, 0.0)  # name -> when it starts, on the monotonic clock
+    watched: dict[str, Standstill] = {}
+    killed: dict[str, str] = {}  # name -> why
+    restarts = Counter[str]()
+    while due or watched:
+        now = time.monotonic()
+        for name in [name for name, start in due.items() if start <= now]:
+            del due[name]
+            supervisor.start(name, commands[name], output(name), show_errors=True)
+            watched[name] = Standstill(supervisor.pid(name), patience)
+        signals.wait(min(_LOOK, *(start - now for start in due.values())) if due else _LOOK)
         if signals.stop:
             raise StoppedError
-        signals.wait(_LOOK)
         for end in supervisor.ended():
-            return end, why
-        if not why and (why := standstill.look(time.monotonic())):
-            supervisor.kill(name)
-
-
-def _pause(seconds: float, signals: Signals) -> None:
-    end = time.monotonic() + seconds
-    while (left := end - time.monotonic()) > 0 and not signals.stop:
-        signals.wait(left)
+            name = end.process
+            del watched[name]
+            if end.status == 0:
+                continue
+            why = killed.pop(name, "")
+            manner = end.manner + (f", since it {why}" if why else "")
+            if end.status > 0 or restarts[name] == LIMIT:  # what it said was shown as it came
+                raise DiedError(end, manner, restarts[name], told=end.status == MISTAKE)
+            delay = FIRST_DELAY * 2 ** restarts[name]
+            restarts[name] += 1
+            again = f"starts again in {delay:g} s ({restarts[name]} of {LIMIT})"
+            print(f"{name}: {manner}; {again}", flush=True)
+            due[name] = time.monotonic() + delay
+        for name, standstill in watched.items():
+            if name not in killed and (why := standstill.look(time.monotonic())):
+                killed[name] = why
+                supervisor.kill(name)

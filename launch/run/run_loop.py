@@ -145,7 +145,7 @@ def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, 
 def _do(
     plan: Plan, commands: Mapping[str, tuple[str, ...]], supervisor: Supervisor, signals: Signals
 ) -> None:
-    """Run commands one after the other, each to a good end, showing their progress."""
+    """Run commands side by side, each to a good end, showing their progress."""
     run_one_off(commands, plan.folder.output, supervisor, signals, plan.patience)
 
 
