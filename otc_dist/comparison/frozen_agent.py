@@ -28,7 +28,7 @@ CHUNK = 256  # states acted on at once: 100 candidates each fit into the process
 VALUE_SAMPLES = 10  # actions that V(s') is the mean of, as in the notes on BCQ
 
 
-class Specimen:
+class FrozenAgent:
     """What an agent holds at a checkpoint of offline training, as pure functions of its data.
 
     Raises:

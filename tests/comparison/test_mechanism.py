@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from otc_dist.comparison import perfect
-from otc_dist.comparison.frozen_agent import Specimen
+from otc_dist.comparison.frozen_agent import FrozenAgent
 from otc_dist.comparison.mechanism import check, table
 from otc_dist.comparison.mechanism.pool import successor_errors
 from otc_dist.comparison.mechanism.selectors import TENTH
@@ -126,12 +126,12 @@ def test_balanced_replay_selects_what_its_density_ratio_has_learned(
 def test_without_a_q_its_rows_and_values_are_left_out(
     finished: ComparisonFolder, base: Description, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class WithoutQ(Specimen):
+    class WithoutQ(FrozenAgent):
         def __init__(self, *arguments: Any) -> None:
             super().__init__(*arguments)
             self.critic = None
 
-    monkeypatch.setattr(check, "Specimen", WithoutQ)
+    monkeypatch.setattr(check, "FrozenAgent", WithoutQ)
     monkeypatch.setattr(check, "POOL", 300)
     monkeypatch.setattr(check, "MINIBATCHES", 3)
     check.measure(finished, base, 0, "without", silent)

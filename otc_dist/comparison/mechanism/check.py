@@ -14,9 +14,9 @@ import numpy as np
 import torch
 
 from otc_dist.comparison.arms import of_seed
-from otc_dist.comparison.frozen_agent import Specimen
+from otc_dist.comparison.frozen_agent import FrozenAgent
 from otc_dist.comparison.mechanism.pool import Pool, pools
-from otc_dist.comparison.mechanism.selectors import noise_spec, ways
+from otc_dist.comparison.mechanism.selectors import noise_spec, selectors
 from otc_dist.comparison.mechanism.table import ONLINE
 from otc_dist.comparison.runs import Tell
 from otc_dist.comparison.scores import ComparisonFolder, write_json
@@ -32,7 +32,7 @@ MINIBATCHES = 200
 
 @dataclass(frozen=True)
 class Selected:
-    """What one way of selecting gave one agent, as ratios to uniform sampling from B_1."""
+    """What one selector gave one agent, as ratios to uniform sampling from B_1."""
 
     mismatch: float  # of |a_-i - pi_-i(s)|
     offline: float  # the same of B_0's transitions alone, to uniform sampling from B_0
@@ -54,12 +54,14 @@ def measure(folder: ComparisonFolder, base: Description, seed: int, name: str, t
     description = of_seed(base, seed).with_assignments("deployment.exploration=none")
     spec = registry.team_spec(base.env.id)
     files = folder.seed(seed)
-    specimens = [Specimen(description, a, files.checkpoint(a.name, 0)) for a in spec.agents]
-    held = pools(folder, description, specimens, POOL, tell)
+    frozen_agents = [FrozenAgent(description, a, files.checkpoint(a.name, 0)) for a in spec.agents]
+    held = pools(folder, description, frozen_agents, POOL, tell)
     found: dict[str, dict[str, Selected]] = {}
-    for index, (agent, specimen, pool) in enumerate(zip(spec.names, specimens, held, strict=True)):
+    for index, (agent, frozen, pool) in enumerate(
+        zip(spec.names, frozen_agents, held, strict=True)
+    ):
         tell(0.5 + 0.5 * index / len(held), f"minibatches of {agent}")
-        for row, selected in _selected(description, specimen, pool, agent).items():
+        for row, selected in _selected(description, frozen, pool, agent).items():
             found.setdefault(row, {})[agent] = selected
     write_json(
         folder.mechanism(name, seed),
@@ -78,11 +80,11 @@ def measure(folder: ComparisonFolder, base: Description, seed: int, name: str, t
 
 
 def _selected(
-    description: Description, specimen: Specimen, pool: Pool, agent: str
+    description: Description, frozen: FrozenAgent, pool: Pool, agent: str
 ) -> dict[str, Selected]:
     """All rows of one agent, on the same minibatches."""
     sampling = settings_of(description)
-    of_row, specs = ways(description, specimen, pool), noise_spec(description, specimen)
+    of_row, specs = selectors(description, frozen, pool), noise_spec(description, frozen)
     newest = np.arange(pool.size, len(pool.mismatch))
     sums = {row: np.zeros(len(fields(Selected))) for row in of_row}
     for number in range(MINIBATCHES):
@@ -92,13 +94,13 @@ def _selected(
             "candidates": random.integers(0, pool.size, (1, sampling.candidates)),
             "references": random.permutation(newest)[None, :count],
         }
-        arrays = to_tensors({**indices, **sample_noise(random, specs, 1)}, specimen.engine.device)
+        arrays = to_tensors({**indices, **sample_noise(random, specs, 1)}, frozen.engine.device)
         sampled = {name: array[0] for name, array in arrays.items()}
-        for row, way in of_row.items():
+        for row, selector in of_row.items():
             with torch.no_grad():
-                sums[row] += pool.means(way(sampled))
+                sums[row] += pool.means(selector(sampled))
     uniform = pool.means(torch.arange(pool.size))
-    uniform[-1] = 1.0  # the share of D_1's transitions is told as it is
+    uniform[-1] = 1.0  # the share of D_1's transitions is reported as it is
     means = {row: total / MINIBATCHES for row, total in sums.items()}
     means[ONLINE] = pool.means(torch.from_numpy(newest))
     return {row: Selected(*(mean / uniform).tolist()) for row, mean in means.items()}

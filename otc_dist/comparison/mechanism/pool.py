@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from otc_dist.comparison import perfect
-from otc_dist.comparison.frozen_agent import Specimen
+from otc_dist.comparison.frozen_agent import FrozenAgent
 from otc_dist.comparison.runs import Tell, restored
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
@@ -53,7 +53,7 @@ class Pool:
 def pools(
     folder: ComparisonFolder,
     description: Description,
-    specimens: Sequence[Specimen],
+    frozen_agents: Sequence[FrozenAgent],
     wanted: int,
     tell: Tell,
 ) -> list[Pool]:
@@ -69,12 +69,12 @@ def pools(
     is_online = torch.from_numpy(numbers >= offline)
     rows, halves, weights = [], [], []
     strategies = {name: row for name in STRATEGIES if (row := STRATEGIES.section(name).row)}
-    for index, specimen in enumerate(specimens):
-        tell(0.1 * index / len(specimens), "what samplers learn")
+    for index, frozen in enumerate(frozen_agents):
+        tell(0.1 * index / len(frozen_agents), "what samplers learn")
         before, newest = joint.of_agent(index), team.own_transitions(online, index)
-        merged = specimen.rows(Transitions.concatenate([before, newest]))
+        merged = frozen.rows(Transitions.concatenate([before, newest]))
         learned = {
-            row: _weights(name, description, specimen, merged, offline, index)
+            row: _weights(name, description, frozen, merged, offline, index)
             for name, row in strategies.items()
         }
         rows.append(merged[torch.from_numpy(numbers)])
@@ -83,24 +83,24 @@ def pools(
         mine = torch.from_numpy(chosen)
         weights.append({row: of_all[mine] for row, of_all in learned.items()})
     gaps = []  # of each agent, (N, a)
-    for index, (specimen, mine) in enumerate(zip(specimens, rows, strict=True)):
+    for index, (frozen, mine) in enumerate(zip(frozen_agents, rows, strict=True)):
         tell(0.1 + 0.3 * index / len(rows), "asking the policies what they would do")
-        gaps.append(specimen.gap(mine, stream(seed, "mechanism", "act", index)))
+        gaps.append(frozen.gap(mine, stream(seed, "mechanism", "act", index)))
     tell(0.4, "playing what they would do")
     everything = JointTransitions.concatenate([joint, JointTransitions.of_steps(online)])
     errors = successor_errors(description.env.id, everything[numbers], gaps)
     tell(0.45, "embeddings and values")
     return [
         Pool(
-            specimen.data(mine, halves[index]),
+            frozen.data(mine, halves[index]),
             size,
             torch.from_numpy(np.linalg.norm(np.concatenate(_others(gaps, index), axis=1), axis=1)),
             errors[index],
-            specimen.next_values(mine, stream(seed, "mechanism", "value", index)),
+            frozen.next_values(mine, stream(seed, "mechanism", "value", index)),
             is_online,
             weights[index],
         )
-        for index, (specimen, mine) in enumerate(zip(specimens, rows, strict=True))
+        for index, (frozen, mine) in enumerate(zip(frozen_agents, rows, strict=True))
     ]
 
 
@@ -133,7 +133,7 @@ def _others(gaps: Sequence[NDArray[np.float32]], index: int) -> list[NDArray[np.
 def _weights(
     name: str,
     description: Description,
-    specimen: Specimen,
+    frozen: FrozenAgent,
     rows: Tensor,
     offline: int,
     agent: int,
@@ -142,7 +142,7 @@ def _weights(
     which it learned and the policy did not.
     """
     described = description.with_assignments(f"sampling.name={name}")
-    sampler = create_sampler(specimen.setting._replace(description=described), len(rows))
+    sampler = create_sampler(frozen.setting._replace(description=described), len(rows))
     extent = Extent(offline, offline, len(rows))
     data, nothing = Data(rows, rows[:, :0]), rows.new_zeros(0)
 
@@ -158,8 +158,8 @@ def _weights(
         return {**state, **selection.changed}, nothing
 
     with torch.no_grad():
-        held = Held(specimen.state, data, extent, specimen.engine, random)
-        begun = {**specimen.state, **sampler.begin(held).changed}
+        held = Held(frozen.state, data, extent, frozen.engine, random)
+        begun = {**frozen.state, **sampler.begin(held).changed}
         span = (0, description.deployment.updates)
         learned = train(begun, update, sample_block, rows.device, span, BLOCK, _ignore)
     return sampler.weights(learned, len(rows))

@@ -1,4 +1,4 @@
-"""The ways of selecting that the mechanism check holds against each other."""
+"""The selectors of transitions that the mechanism check compares."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from otc_dist.algorithms.interface import action_features, unpack
-from otc_dist.comparison.frozen_agent import Specimen
+from otc_dist.comparison.frozen_agent import FrozenAgent
 from otc_dist.comparison.mechanism.pool import Pool
 from otc_dist.comparison.mechanism.table import ORACLE, UNIFORM
 from otc_dist.description import Description
@@ -24,7 +24,7 @@ from otc_dist.randomness import stream
 from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.transitions import RowLayout
 
-Way = Callable[[Noise], Tensor]  # selected rows (batch,) of the pool, by what one minibatch sampled
+Selector = Callable[[Noise], Tensor]  # what a minibatch sampled -> selected rows (batch,)
 Distances = Callable[[Noise], Tensor]  # of the candidates (B,) of one minibatch
 
 BEST = 0.1  # of the pool
@@ -32,12 +32,12 @@ TENTH = "best tenth"
 _OTC = ("sampling.name=otc", "sampling.acceptance=rank", "sampling.matching=minibatch")
 
 
-def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, Way]:
+def selectors(description: Description, frozen: FrozenAgent, pool: Pool) -> dict[str, Selector]:
     """Row of the table -> how it selects. Without a Q there is no d_q."""
     sampling, batch = settings_of(description), description.algorithm.batch_size
     alpha = torch.tensor(sampling.alpha, dtype=torch.float32)
 
-    def ranked(distances: Distances) -> Way:
+    def ranked(distances: Distances) -> Selector:
         """By Eq. 3 at alpha_0, on the same candidates and by the same noise as all others."""
 
         def rows(sampled: Noise) -> Tensor:
@@ -52,20 +52,20 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
 
         return rows
 
-    def within(name: str, assignments: Sequence[str]) -> Way:
+    def within(name: str, assignments: Sequence[str]) -> Selector:
         """By distances within a minibatch, as Algorithm 1 has it."""
         described = description.with_assignments(*_OTC, f"sampling.distance={name}", *assignments)
-        setting = specimen.setting._replace(description=described)
+        setting = frozen.setting._replace(description=described)
         sampler = rank.create(create_distance(name, setting), settings_of(described), batch)
         assert isinstance(sampler, rank.RankMatched)
 
         def distances(sampled: Noise) -> Tensor:
             pairs = sampler.pairs(pool.data[name], sampled)
-            return sampler.distances(specimen.state, pairs, sampled)[0]
+            return sampler.distances(frozen.state, pairs, sampled)[0]
 
         return ranked(distances)
 
-    pairs, successors = _standardised(pool, specimen.layout)
+    pairs, successors = _standardised(pool, frozen.layout)
 
     def gaps(sampled: Noise) -> Tensor:
         return torch.cdist(pairs[sampled["candidates"]], pairs[sampled["references"]])
@@ -75,14 +75,14 @@ def ways(description: Description, specimen: Specimen, pool: Pool) -> dict[str, 
         difference = successors[sampled["candidates"]] - successors[matched]
         return difference.square().sum(dim=1)
 
-    found: dict[str, Way] = {}
+    found: dict[str, Selector] = {}
     for name, facts in DISTANCES.items():
-        if facts.needs_q and not specimen.critic:
+        if facts.needs_q and not frozen.critic:
             continue
         if facts.per_update:
             for title, assignments in (facts.rows or {facts.title: ()}).items():
                 found[title] = within(name, assignments)
-        scores = _scores(description, specimen, pool, name)
+        scores = _scores(description, frozen, pool, name)
         if not facts.per_update:
             found[facts.title] = ranked(partial(_looked_up, scores))
         best = scores.argsort(stable=True)[: math.ceil(BEST * pool.size)]
@@ -113,7 +113,7 @@ def _any_of(rows: Tensor, sampled: Noise) -> Tensor:
     return rows[(sampled["part"] * len(rows)).long()]
 
 
-def _scores(description: Description, specimen: Specimen, pool: Pool, name: str) -> Tensor:
+def _scores(description: Description, frozen: FrozenAgent, pool: Pool, name: str) -> Tensor:
     """Scores (size,) of the pool's rows, by all of D_1."""
 
     def random(*key: int | str) -> np.random.Generator:
@@ -121,19 +121,17 @@ def _scores(description: Description, specimen: Specimen, pool: Pool, name: str)
 
     data, size = pool.data[name], pool.size
     extent = Extent(size, size, len(data.rows))
-    held = Held(specimen.state, data, extent, specimen.engine, random)
+    held = Held(frozen.state, data, extent, frozen.engine, random)
     with torch.no_grad():
-        return (
-            create_distance(name, specimen.setting).scores(held, exclude_self=False).values[:size]
-        )
+        return create_distance(name, frozen.setting).scores(held, exclude_self=False).values[:size]
 
 
-def noise_spec(description: Description, specimen: Specimen) -> dict[str, NoiseSpec]:
-    """The random arrays that all ways need for one minibatch."""
+def noise_spec(description: Description, frozen: FrozenAgent) -> dict[str, NoiseSpec]:
+    """The random arrays that all selectors need for one minibatch."""
     sampling, batch = settings_of(description), description.algorithm.batch_size
     specs: dict[str, NoiseSpec] = {}
-    if specimen.critic:
-        specs.update(specimen.critic.value_noise_spec(sampling.candidates, sampling.value_samples))
+    if frozen.critic:
+        specs.update(frozen.critic.value_noise_spec(sampling.candidates, sampling.value_samples))
     priority = {"priority": NoiseSpec("exponential", (sampling.candidates,))}
     return specs | priority | {"part": NoiseSpec("uniform", (batch,))}
 

@@ -47,7 +47,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Row:
-    """One way of selecting, over seeds and agents. Ratios are to uniform sampling."""
+    """One selector, over seeds and agents. Ratios are to uniform sampling."""
 
     name: str
     mismatch: Estimate  # of |a_-i - pi_-i(s)|, B_1
