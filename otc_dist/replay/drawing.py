@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from otc_dist.replay.timeline import Tape
+from otc_dist.replay.timeline import Timeline
 from otc_dist.scenes.scene import (
     NOBODYS,
     Body,
@@ -27,16 +27,16 @@ _CHART = 84  # px
 
 
 class ScenePicture:
-    """Draws a scene's bodies from above, or from the side, at moments of a tape."""
+    """Draws a scene's bodies from above, or from the side, at moments of a timeline."""
 
-    def __init__(self, tape: Tape, scene: Scene, width: int, height: int) -> None:
-        self._scene, self._frames = scene, tape.frames(scene)
+    def __init__(self, timeline: Timeline, scene: Scene, width: int, height: int) -> None:
+        self._scene, self._frames = scene, timeline.frames(scene)
         self._size = (width, height)
         view = scene.view
         self._scale = _FINE * min(width / view.width, height / view.height)
 
     def draw(self, i: int) -> Image.Image:
-        """Before step i of the tape."""
+        """Before step i of the timeline."""
         width, height = (_FINE * side for side in self._size)
         picture = Image.new("RGB", (width, height), PAPER)
         draw = ImageDraw.Draw(picture)
@@ -106,33 +106,33 @@ class Panel:
     `title` says why it is this episode that is shown.
     """
 
-    def __init__(self, tape: Tape, width: int, height: int, title: str) -> None:
-        self._tape, self._size = tape, (width, height)
+    def __init__(self, timeline: Timeline, width: int, height: int, title: str) -> None:
+        self._timeline, self._size = timeline, (width, height)
         self._large, self._small = ImageFont.load_default(17), ImageFont.load_default(13)
-        self._rewards, self._returns = tape.rewards.mean(axis=1), tape.returns.mean(axis=1)
+        self._rewards, self._returns = timeline.rewards.mean(axis=1), timeline.returns.mean(axis=1)
         self._background = Image.new("RGB", self._size, PAPER)
         draw = ImageDraw.Draw(self._background)
         draw.line([(0, 0), (0, height)], FAINT, 1)
-        header = tape.header
+        header = timeline.header
         run = _shortened(header.run, width - 2 * _MARGIN, self._small)
         draw.text((_MARGIN, 10), run, GREY, self._small)
         draw.text((_MARGIN, 27), f"deployment {header.deployment}", GREY, self._small)
         draw.text((_MARGIN, 48), title, INK, self._large)
         self._facts = 72 if title else 52  # px, where they begin
-        names, count = tape.choice_names, max(agent.choices for agent in tape.agents)
+        names, count = timeline.choice_names, max(agent.choices for agent in timeline.agents)
         self._choices = choice_colours(names, count)
         self._chart = (_MARGIN, height - _CHART, width - _MARGIN, height - _MARGIN)
-        _plot(draw, self._chart, self._returns, tape.episodes.tolist())
+        _plot(draw, self._chart, self._returns, timeline.episodes.tolist())
         draw.text((_MARGIN, height - _CHART - 18), "return so far", GREY, self._small)
 
     def draw(self, i: int) -> Image.Image:
-        """At step i of the tape."""
-        tape, panel = self._tape, self._background.copy()
+        """At step i of the timeline."""
+        timeline, panel = self._timeline, self._background.copy()
         draw = ImageDraw.Draw(panel)
         width, height = self._size
         facts = (
-            (tape.episode(i),),
-            (f"step {tape.numbers[i]:,}", f"return {self._returns[i]:,.2f}"),
+            (timeline.episode(i),),
+            (f"step {timeline.numbers[i]:,}", f"return {self._returns[i]:,.2f}"),
         )
         for line, texts in enumerate(facts):
             for column, text in enumerate(texts):
@@ -140,33 +140,33 @@ class Panel:
                 draw.text((x, self._facts + 24 * line), text, INK, self._large)
         self._draw_agents(draw, i, self._facts + 56, height - _CHART - 24)
         left, top, right, bottom = self._chart
-        cursor = left + (right - left) * (i + 0.5) / len(tape)
+        cursor = left + (right - left) * (i + 0.5) / len(timeline)
         draw.line([(cursor, top - 3), (cursor, bottom + 3)], agent_colour(0), 2)
         return panel
 
     def _choice(self, action: float) -> str:
-        names = self._tape.choice_names
+        names = self._timeline.choice_names
         known = action.is_integer() and 0 <= action < len(names)
         return names[int(action)] if known else f"choice {action:g}"
 
     def _draw_agents(self, draw: ImageDraw.ImageDraw, i: int, top: int, bottom: int) -> None:
         """As many as there is room for, and how many there are besides."""
-        tape, right = self._tape, self._size[0] - _MARGIN
-        actions = sum(agent.action_size for agent in tape.agents)
-        row = min(_ROW, max(12, (bottom - top - _ROW * len(tape.agents)) // actions))
+        timeline, right = self._timeline, self._size[0] - _MARGIN
+        actions = sum(agent.action_size for agent in timeline.agents)
+        row = min(_ROW, max(12, (bottom - top - _ROW * len(timeline.agents)) // actions))
         y = top
-        for n, agent in enumerate(tape.agents):
+        for n, agent in enumerate(timeline.agents):
             if y + _ROW + row * agent.action_size > bottom:
-                draw.text((_MARGIN, y), f"and {len(tape.agents) - n} more", GREY, self._small)
+                draw.text((_MARGIN, y), f"and {len(timeline.agents) - n} more", GREY, self._small)
                 return
-            colour = agent_colour(tape.places[n])
+            colour = agent_colour(timeline.places[n])
             draw.ellipse((_MARGIN, y + 4, _MARGIN + 9, y + 13), colour)
-            name = agent.name + (" explores" if tape.exploring[i, n] else "")
+            name = agent.name + (" explores" if timeline.exploring[i, n] else "")
             draw.text((_MARGIN + 16, y), name, INK, self._small)
-            reward = f"reward {tape.rewards[i, n]:.3g}"
+            reward = f"reward {timeline.rewards[i, n]:.3g}"
             draw.text((right, y), reward, GREY, self._small, anchor="ra")
             y += _ROW
-            for j, action in enumerate(tape.actions[n][i].tolist()):
+            for j, action in enumerate(timeline.actions[n][i].tolist()):
                 low, high = agent.action_low[j], agent.action_high[j]
                 box = (_MARGIN + 16, y + row // 2 - 4, right - 70, y + row // 2 + 4)
                 if agent.choices:

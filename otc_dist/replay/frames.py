@@ -1,4 +1,4 @@
-"""Pictures of the steps of a tape: the scene, and beside it what happens in numbers."""
+"""Pictures of the steps of a timeline: the scene, and beside it what happens in numbers."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ from PIL import Image
 
 from otc_dist.replay.drawing import Panel, ScenePicture
 from otc_dist.replay.offscreen import Offscreen
-from otc_dist.replay.timeline import Tape
+from otc_dist.replay.timeline import Timeline
 from otc_dist.scenes.robots import RobotScene
 from otc_dist.terminal.errors import UserError
 
@@ -16,24 +16,25 @@ WIDTH, HEIGHT = 1120, 480  # px; even numbers, as video codecs want
 _PANEL = 320  # px
 _ROOM = 1.3  # times as high as a robot that stands is what a picture of it shows
 
-Paint = Callable[[int], Image.Image]  # of step i of the tape
+Render = Callable[[int], Image.Image]  # of step i of the timeline
 
 
 @contextmanager
-def painter(tape: Tape, title: str) -> Iterator[Paint]:
-    """Paints the tape's steps, WIDTH x HEIGHT; robots by MuJoCo, all else drawn. `title` says which
-    episode it is.
+def renderer(timeline: Timeline, title: str) -> Iterator[Render]:
+    """Renders the timeline's steps, WIDTH x HEIGHT; robots by MuJoCo, all else drawn here.
+
+    `title` says which episode it is.
 
     Raises:
         UserError: the environment cannot be drawn, or robots cannot be rendered here.
     """
-    scene = tape.scene
+    scene = timeline.scene
     if scene is None:
         raise UserError(
-            f"the states of {tape.header.team.env_id} do not tell what it looks like;"
+            f"the states of {timeline.header.team.env_id} do not say what it looks like;"
             " --html shows its actions and rewards"
         )
-    panel = Panel(tape, _PANEL, HEIGHT, title)
+    panel = Panel(timeline, _PANEL, HEIGHT, title)
 
     def beside(picture: Image.Image, i: int) -> Image.Image:
         whole = Image.new("RGB", (WIDTH, HEIGHT))
@@ -42,11 +43,11 @@ def painter(tape: Tape, title: str) -> Iterator[Paint]:
         return whole
 
     if not isinstance(scene, RobotScene):
-        drawn = ScenePicture(tape, scene, WIDTH - _PANEL, HEIGHT)
+        drawn = ScenePicture(timeline, scene, WIDTH - _PANEL, HEIGHT)
         yield lambda i: beside(drawn.draw(i), i)
         return
     _colour_links(scene)
-    positions = scene.positions(tape.states)
+    positions = scene.positions(timeline.states)
     with Offscreen(scene.model, WIDTH - _PANEL, HEIGHT, _ROOM * scene.top) as offscreen:
         yield lambda i: beside(Image.fromarray(offscreen.render(positions[i])), i)
 

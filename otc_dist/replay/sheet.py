@@ -20,13 +20,15 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         from PIL import Image
 
-        from otc_dist.replay.frames import HEIGHT, WIDTH, painter
+        from otc_dist.replay.frames import HEIGHT, WIDTH, renderer
     except ModuleNotFoundError as error:
         raise missing(error) from None
-    out, tapes = Path(arguments.sheet), highlights(arguments)
-    each = _COLUMNS * _ROWS // len(tapes)
+    out, timelines = Path(arguments.sheet), highlights(arguments)
+    each = _COLUMNS * _ROWS // len(timelines)
     # Of each the first and the last step, and evenly between them.
-    moments = [np.unique(np.rint(np.linspace(0, len(t) - 1, each)).astype(int)) for _, t in tapes]
+    moments = [
+        np.unique(np.rint(np.linspace(0, len(t) - 1, each)).astype(int)) for _, t in timelines
+    ]
     firsts = np.cumsum([0, *(-(-len(of_one) // _COLUMNS) for of_one in moments)]).tolist()
     *firsts, rows = firsts  # rows at which they begin, and how many there are
     size = (_COLUMNS * (WIDTH + _GAP) + _GAP, rows * (HEIGHT + _GAP) + _GAP)
@@ -34,12 +36,12 @@ def run(arguments: argparse.Namespace) -> int:
     with claimed(out, force=arguments.force) as path:
         with shown(out.name, "pictures") as report:
             done, total = 0, sum(map(len, moments))
-            for (title, tape), of_one, first in zip(tapes, moments, firsts, strict=True):
-                with painter(tape, title) as paint:
+            for (title, timeline), of_one, first in zip(timelines, moments, firsts, strict=True):
+                with renderer(timeline, title) as render:
                     for n, i in enumerate(of_one.tolist()):
                         column, row = n % _COLUMNS, first + n // _COLUMNS
                         corner = (_GAP + column * (WIDTH + _GAP), _GAP + row * (HEIGHT + _GAP))
-                        sheet.paste(paint(i), corner)
+                        sheet.paste(render(i), corner)
                         done += 1
                         report(done, total)
         half = (size[0] // 2, size[1] // 2)

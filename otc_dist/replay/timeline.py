@@ -24,7 +24,7 @@ _ENDINGS = {1: "st", 2: "nd", 3: "rd"}  # of ordinal numbers
 
 
 @dataclass(frozen=True)
-class Tape:
+class Timeline:
     """T steps of one copy and the N agents that are shown, in order; some may be missing between.
 
     Attributes:
@@ -66,11 +66,11 @@ class Tape:
 
     @property
     def choice_names(self) -> tuple[str, ...]:
-        """What discrete actions are called, by their index; empty where nothing tells."""
+        """What discrete actions are called, by their index; empty where that is not known."""
         return self.scene.choices if self.scene is not None else ()
 
     def episode(self, i: int) -> str:
-        """Which episode step i of the tape belongs to: `copy 0, its 2nd episode`."""
+        """Which episode step i of the timeline belongs to: `copy 0, its 2nd episode`."""
         number = int(self.ordinals[i])
         ending = "th" if number % 100 in (11, 12, 13) else _ENDINGS.get(number % 10, "th")
         return f"copy {self.copy}, its {number}{ending} episode"
@@ -80,7 +80,7 @@ class Tape:
         return scene.frames(self.states)
 
 
-def selected_tape(arguments: argparse.Namespace) -> Tape:
+def selected_timeline(arguments: argparse.Namespace) -> Timeline:
     """What the command line asks for.
 
     Raises:
@@ -94,10 +94,10 @@ def selected_tape(arguments: argparse.Namespace) -> Tape:
         if selection.start == selection.stop:
             raise UserError(f"{log.path} has no steps to show")
         note_shortfall(summary)
-        return read_tape(log, summary, selection)
+        return read_timeline(log, summary, selection)
 
 
-def highlights(arguments: argparse.Namespace) -> list[tuple[str, Tape]]:
+def highlights(arguments: argparse.Namespace) -> list[tuple[str, Timeline]]:
     """The best and the worst episode by their return, each with what it is called; or the one part
     that the command line asks for, called "".
 
@@ -107,7 +107,7 @@ def highlights(arguments: argparse.Namespace) -> list[tuple[str, Tape]]:
         UserError: as `selected_tape`.
     """
     if arguments.steps is not None or arguments.episode is not None or len(arguments.files) > 1:
-        return [("", selected_tape(arguments))]
+        return [("", selected_timeline(arguments))]
     with OpenLog(arguments.files[0]) as log:
         summary = summarise(log)
         selection = select(arguments, summary)
@@ -127,7 +127,7 @@ def highlights(arguments: argparse.Namespace) -> list[tuple[str, Tape]]:
         return [
             (
                 name,
-                read_tape(
+                read_timeline(
                     log,
                     summary,
                     replace(
@@ -142,7 +142,7 @@ def highlights(arguments: argparse.Namespace) -> list[tuple[str, Tape]]:
         ]
 
 
-def read_tape(log: OpenLog, summary: LogSummary, selection: Selection) -> Tape:
+def read_timeline(log: OpenLog, summary: LogSummary, selection: Selection) -> Timeline:
     """The selected steps of the selected copy, or of the first one.
 
     What lies before is read only as far back as the beginning of the episode, for its return.
@@ -163,7 +163,7 @@ def read_tape(log: OpenLog, summary: LogSummary, selection: Selection) -> Tape:
     which = np.searchsorted(starts, numbers, "right") - 1
     rewards = np.stack([columns[f"rewards.{place}"] for place in places], 1).astype(np.float64)
     wanted = numbers >= selection.start
-    return Tape(
+    return Timeline(
         header=log.header,
         extent=log.extent,
         copy=copy,

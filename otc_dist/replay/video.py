@@ -22,24 +22,24 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         import av
 
-        from otc_dist.replay.frames import HEIGHT, WIDTH, painter
+        from otc_dist.replay.frames import HEIGHT, WIDTH, renderer
     except ModuleNotFoundError as error:
         raise missing(error) from None
-    out, tapes = Path(arguments.video), highlights(arguments)
-    scene = tapes[0][1].scene
+    out, timelines = Path(arguments.video), highlights(arguments)
+    scene = timelines[0][1].scene
     with claimed(out, force=arguments.force) as path:
         seconds = Fraction(scene.seconds if scene else 1).limit_denominator(10_000)
         every = max(1, round(1 / (_RATE * seconds)))  # steps a frame
-        total = sum(len(range(0, len(tape), every)) for _, tape in tapes)
+        total = sum(len(range(0, len(timeline), every)) for _, timeline in timelines)
         with av.open(path, "w", format="mp4") as film, shown(out.name, "frames") as report:
             stream = film.add_stream("libx264", rate=1 / (every * seconds))
             stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
             stream.options = {"crf": _QUALITY, "preset": "veryfast"}
             done = 0
-            for title, tape in tapes:
-                with painter(tape, title) as paint:
-                    for i in range(0, len(tape), every):
-                        picture = np.asarray(paint(i))
+            for title, timeline in timelines:
+                with renderer(timeline, title) as render:
+                    for i in range(0, len(timeline), every):
+                        picture = np.asarray(render(i))
                         frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
                         film.mux(stream.encode(frame))
                         done += 1

@@ -36,8 +36,8 @@ def page(deployment: tuple[Path, list[JointStep]], tmp_path: Path, replay: Repla
     return out
 
 
-def tape_of(page: Path) -> dict:
-    (packed,) = re.findall(r'<script id="tape"[^>]*>(.*?)</script>', page.read_text(), re.S)
+def timeline_of(page: Path) -> dict:
+    (packed,) = re.findall(r'<script id="timeline"[^>]*>(.*?)</script>', page.read_text(), re.S)
     return json.loads(packed)
 
 
@@ -58,19 +58,19 @@ def returns_so_far(steps: list[JointStep], copy: int) -> list[float]:
 
 def test_the_page_holds_what_the_log_holds(page: Path, deployment) -> None:
     _, steps = deployment
-    tape = tape_of(page)
-    assert array(tape["numbers"], "<i4", -1).tolist() == list(range(120))
-    rewards = array(tape["rewards"], "<f4", 120, 3)
+    timeline = timeline_of(page)
+    assert array(timeline["numbers"], "<i4", -1).tolist() == list(range(120))
+    rewards = array(timeline["rewards"], "<f4", 120, 3)
     assert rewards.tobytes() == np.stack([np.stack(s.rewards)[:, 0] for s in steps]).tobytes()
-    returns = array(tape["returns"], "<f4", 120, 3)[:, 1]
+    returns = array(timeline["returns"], "<f4", 120, 3)[:, 1]
     assert np.allclose(returns, returns_so_far(steps, 0), atol=1e-4)
-    for i, agent in enumerate(tape["agents"]):
+    for i, agent in enumerate(timeline["agents"]):
         found = array(agent["actions"], "<f4", 120, 1)
         assert found.tobytes() == np.stack([s.actions[i][0] for s in steps]).tobytes()
     scene = find(team_spec(ENV))
     assert scene is not None
     poses = scene.frames(np.stack([s.state[0] for s in steps])).poses
-    found = array(tape["scene"]["poses"], "<f4", 120, 4, 3)
+    found = array(timeline["scene"]["poses"], "<f4", 120, 4, 3)
     assert np.array_equal(found, poses.astype(np.float32))
 
 
@@ -90,34 +90,36 @@ def test_a_part_of_a_log(deployment, tmp_path: Path, replay: Replay) -> None:
     path, steps = deployment
     out = tmp_path / "part.html"
     replay(path, "--html", out, "--steps", "5:9", "--agent", "agent_2")
-    tape = tape_of(out)
-    assert [agent["name"] for agent in tape["agents"]] == ["agent_2"]
-    assert array(tape["numbers"], "<i4", -1).tolist() == [5, 6, 7, 8]
-    assert np.allclose(array(tape["returns"], "<f4", -1), returns_so_far(steps, 0)[5:9], atol=1e-5)
+    timeline = timeline_of(out)
+    assert [agent["name"] for agent in timeline["agents"]] == ["agent_2"]
+    assert array(timeline["numbers"], "<i4", -1).tolist() == [5, 6, 7, 8]
+    assert np.allclose(
+        array(timeline["returns"], "<f4", -1), returns_so_far(steps, 0)[5:9], atol=1e-5
+    )
 
 
 def test_episodes_are_named_by_their_copy_and_their_place_in_it(
     page: Path, deployment, tmp_path: Path, replay: Replay
 ) -> None:
     path, steps = deployment
-    tape = tape_of(page)
+    timeline = timeline_of(page)
     ends = [t for t, s in enumerate(steps[:-1]) if s.terminated[0] or s.truncated[0]]
     assert len(ends) >= 2
     names = [f"copy 0, its {n} episode" for n in ("1st", "2nd", "3rd")]
-    assert tape["names"][:3] == names and len(tape["names"]) == len(ends) + 1
+    assert timeline["names"][:3] == names and len(timeline["names"]) == len(ends) + 1
     # One that is shown alone is still its copy's second.
-    second = array(tape["episodes"], "<i4", -1)[ends[0] + 1]
+    second = array(timeline["episodes"], "<i4", -1)[ends[0] + 1]
     replay(path, "--html", tmp_path / "one.html", "--episode", second)
-    assert tape_of(tmp_path / "one.html")["names"] == names[1:2]
+    assert timeline_of(tmp_path / "one.html")["names"] == names[1:2]
 
 
 def test_an_episode_of_another_copy(deployment, tmp_path: Path, replay: Replay) -> None:
     path, steps = deployment
     out = tmp_path / "episode.html"
     replay(path, "--html", out, "--episode", "1")
-    tape = tape_of(out)
-    length = len(array(tape["numbers"], "<i4", -1))
-    rewards = array(tape["rewards"], "<f4", length, 3)[:, 0]
+    timeline = timeline_of(out)
+    length = len(array(timeline["numbers"], "<i4", -1))
+    rewards = array(timeline["rewards"], "<f4", length, 3)[:, 0]
     assert rewards.tolist() == [float(s.rewards[0][1]) for s in steps[:length]]
     assert steps[length - 1].terminated[1]
 
@@ -126,11 +128,11 @@ def test_discrete_actions_have_names(tmp_path: Path, replay: Replay) -> None:
     path = tmp_path / "log.mcap"
     play("5m_vs_6m", path, 3)
     replay(path, "--html", tmp_path / "out.html")
-    tape = tape_of(tmp_path / "out.html")
-    names = tape["scene"]["choices"]
-    assert len(names) == tape["agents"][0]["choices"] == 12
+    timeline = timeline_of(tmp_path / "out.html")
+    names = timeline["scene"]["choices"]
+    assert len(names) == timeline["agents"][0]["choices"] == 12
     assert names[:3] == ["no-op", "stop", "north"] and names[6] == "attack 0"
-    colours = [tuple(colour) for colour in tape["choices"]]
+    colours = [tuple(colour) for colour in timeline["choices"]]
     assert len(set(colours)) == 12  # each has its own in the strips
     assert len(set(colours[0])) == 3 and max(colours[0]) - min(colours[0]) < 20  # idle: grey
 
@@ -138,7 +140,7 @@ def test_discrete_actions_have_names(tmp_path: Path, replay: Replay) -> None:
 def test_an_environment_that_cannot_be_drawn(recorded, tmp_path: Path, replay: Replay) -> None:
     _, path = recorded
     replay(path, "--html", tmp_path / "out.html")
-    assert tape_of(tmp_path / "out.html")["scene"] is None
+    assert timeline_of(tmp_path / "out.html")["scene"] is None
 
 
 def test_mistakes(page: Path, deployment, tmp_path: Path, refused: Callable[..., str]) -> None:

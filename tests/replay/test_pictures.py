@@ -14,7 +14,7 @@ from PIL import Image
 
 from otc_dist.deployment_log.reader import read_summary
 from otc_dist.replay import offscreen
-from otc_dist.replay.frames import HEIGHT, WIDTH, painter
+from otc_dist.replay.frames import HEIGHT, WIDTH, renderer
 from otc_dist.replay.timeline import highlights
 from otc_dist.scenes.robots import RobotScene
 from otc_dist.scenes.scene import AGENT_COLOURS, FOE
@@ -97,17 +97,17 @@ def test_a_film_and_a_sheet_show_the_best_and_the_worst_episode(
     assert (best, worst) == (f"best of {len(whole)} episodes", f"worst of {len(whole)} episodes")
     assert first.returns[-1].mean() == pytest.approx(max(returns), abs=1e-4)
     assert second.returns[-1].mean() == pytest.approx(min(returns), abs=1e-4)
-    for tape in (first, second):
-        assert tape.ended[-1] and not tape.ended[:-1].any()
+    for timeline in (first, second):
+        assert timeline.ended[-1] and not timeline.ended[:-1].any()
     assert replay(path, "--sheet", out)[0] == 0
     assert replay(path, "--video", tmp_path / "out.mp4")[0] == 0
     assert len(frames_of(tmp_path / "out.mp4")[0]) == len(first) + len(second)
     # The sheet's upper half is the best, its lower half the worst.
     sheet = np.asarray(Image.open(out).convert("RGB")).astype(int)
     half = 2 * (HEIGHT + 8) // 2
-    for tape, top in ((first, 4), (second, 4 + half)):
-        with painter(tape, "") as paint:
-            picture = paint(0).resize((WIDTH // 2, HEIGHT // 2), Image.Resampling.LANCZOS)
+    for timeline, top in ((first, 4), (second, 4 + half)):
+        with renderer(timeline, "") as render:
+            picture = render(0).resize((WIDTH // 2, HEIGHT // 2), Image.Resampling.LANCZOS)
         found = sheet[top : top + HEIGHT // 2, 4 : 4 + PICTURE // 2]
         wanted = np.asarray(picture)[:, : PICTURE // 2]
         assert (np.abs(found - wanted) > 60).sum() == 0
@@ -127,7 +127,7 @@ def test_mistakes(
     (tmp_path / "there.mp4").write_bytes(b"mine")
     assert "exists; --force replaces it" in refused(path, "--video", tmp_path / "there.mp4")
     said = refused(recorded[1], "--video", tmp_path / "out.mp4")
-    assert "test-team do not tell what it looks like" in said and "--html" in said
+    assert "test-team do not say what it looks like" in said and "--html" in said
     monkeypatch.setitem(sys.modules, "av", None)
     said = refused(path, "--video", tmp_path / "out.mp4")
     assert "needs the package av" in said and "-m pip install 'av" in said
@@ -198,15 +198,17 @@ def test_a_robot_is_rendered_in_its_agents_colours(
 def test_a_robot_fills_the_picture_and_is_followed(hops: Path) -> None:
     scene = RobotScene("hopper-3x1")
     assert 1.2 < scene.top < 1.7  # m
-    ((_, tape),) = highlights(
+    ((_, timeline),) = highlights(
         argparse.Namespace(files=[hops], steps=(0, 1), episode=None, agent=None)
     )
-    moved = replace(tape, states=tape.states + np.eye(1, tape.states.shape[1], 1) * 50.0)  # along x
+    moved = replace(
+        timeline, states=timeline.states + np.eye(1, timeline.states.shape[1], 1) * 50.0
+    )  # along x
     try:
         pictures = []
-        for one in (tape, moved):
-            with painter(one, "") as paint:
-                pictures.append(np.asarray(paint(0))[:, :PICTURE].astype(int))
+        for one in (timeline, moved):
+            with renderer(one, "") as render:
+                pictures.append(np.asarray(render(0))[:, :PICTURE].astype(int))
     except UserError as error:
         pytest.skip(str(error))
     for picture in pictures:

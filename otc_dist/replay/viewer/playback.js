@@ -1,4 +1,4 @@
-// Moving through the tape: playing, dragging, keys, links.
+// Moving through the timeline: playing, dragging, keys, links.
 
 let asked = false;
 
@@ -17,7 +17,7 @@ let before = null;
 
 function advance(now) {
   if (playing && before !== null) {
-    position += ((now - before) / 1000 / tape.seconds) * speed;
+    position += ((now - before) / 1000 / timeline.seconds) * speed;
     if (position >= count - 1) [position, playing] = [count - 1, false];
     follow();
   }

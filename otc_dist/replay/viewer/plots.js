@@ -16,14 +16,14 @@ function chart(title, lines, { fixed = null, say = format, plot = drawLines, loo
 
 function ofAgents(values) {
   if (shared) return [["team", [125, 134, 146], [], (i) => values[i * team]]];
-  return tape.agents.map((agent, n) =>
+  return timeline.agents.map((agent, n) =>
     [agent.name, agent.colour, dashes[Math.floor(n / 6) % 4], (i) => values[i * team + n]]);
 }
 
 chart("", [], { plot: drawSteps, look: "steps" });
 chart("reward", ofAgents(rewards));
 chart("return so far", ofAgents(returns));
-for (const [n, agent] of tape.agents.entries()) {
+for (const [n, agent] of timeline.agents.entries()) {
   const size = agent.low.length;
   const lines = agent.low.map((_, j) =>
     [size > 1 ? `[${j}]` : "", agent.colour, dashes[j % 4], (i) => actions[n][i * size + j]]);
@@ -33,10 +33,10 @@ for (const [n, agent] of tape.agents.entries()) {
   else chart(`${agent.name}: action`, lines, { fixed });
 }
 
-if (tape.choices.length) {
+if (timeline.choices.length) {
   const key = document.createElement("p");
   key.className = "key";
-  for (const [action, rgb] of tape.choices.entries()) {
+  for (const [action, rgb] of timeline.choices.entries()) {
     const item = document.createElement("span");
     const patch = document.createElement("i");
     patch.style.background = colour(rgb);
@@ -101,7 +101,7 @@ function range(lines, begin, end) {
   return low === high ? [low - 0.5, high + 0.5] : [low, high];
 }
 
-// What is shown of the tape on a canvas: its places begin..end, and where place i lies.
+// What is shown of the timeline on a canvas: its places begin..end, and where place i lies.
 function across(width) {
   const [first, last] = shown;
   const [begin, end] = [Math.max(Math.floor(first), 0), Math.min(Math.ceil(last), count - 1)];
@@ -148,7 +148,7 @@ function drawSteps({ canvas, layer }, style) {
   context.textAlign = "center";
   for (let n = episodeAt(begin); n <= episodeAt(end); n++) {
     const [left, right] = [within(starts[n] - 0.5), within((starts[n + 1] ?? count) - 0.5)];
-    const text = tape.names[n].replace(/^.*its (.*) episode$/, "$1"); // the copy is the same
+    const text = timeline.names[n].replace(/^.*its (.*) episode$/, "$1"); // the copy is the same
     const fits = context.measureText(text).width < right - left - 8;
     if (fits) context.fillText(text, (left + right) / 2, 18);
   }

@@ -1,27 +1,27 @@
 "use strict";
-// The tape: arrays over T steps, as `otc_dist.replay.html` packed them, and the numbers beside the
-// scene. The other scripts follow behind it in the same page.
+// The timeline: arrays over T steps, as `otc_dist.replay.html` packed them, and the numbers beside
+// the scene. The other scripts follow after it in the same page.
 
-const tape = JSON.parse(document.getElementById("tape").textContent);
+const timeline = JSON.parse(document.getElementById("timeline").textContent);
 
 function unpack(packed, Kind) {
   const bytes = Uint8Array.from(atob(packed), (letter) => letter.charCodeAt(0));
   return new Kind(bytes.buffer);
 }
 
-const numbers = unpack(tape.numbers, Int32Array);
-const episodes = unpack(tape.episodes, Int32Array);
-const rewards = unpack(tape.rewards, Float32Array); // T x agents
-const returns = unpack(tape.returns, Float32Array);
-const actions = tape.agents.map((agent) => unpack(agent.actions, Float32Array));
-const exploring = unpack(tape.exploring, Uint8Array);
-const scene = tape.scene;
+const numbers = unpack(timeline.numbers, Int32Array);
+const episodes = unpack(timeline.episodes, Int32Array);
+const rewards = unpack(timeline.rewards, Float32Array); // T x agents
+const returns = unpack(timeline.returns, Float32Array);
+const actions = timeline.agents.map((agent) => unpack(agent.actions, Float32Array));
+const exploring = unpack(timeline.exploring, Uint8Array);
+const scene = timeline.scene;
 const poses = scene && unpack(scene.poses, Float32Array); // T x bodies x (u, v, angle)
 const levels = scene && unpack(scene.levels, Float32Array); // T x bodies
 const count = numbers.length;
-const team = tape.agents.length;
+const team = timeline.agents.length;
 
-const starts = []; // the steps at which episodes begin, as places on the tape
+const starts = []; // the steps at which episodes begin, as places on the timeline
 for (let i = 0; i < count; i++) {
   if (i === 0 || episodes[i] !== episodes[i - 1] || numbers[i] !== numbers[i - 1] + 1) {
     starts.push(i);
@@ -35,10 +35,10 @@ const byId = (id) => document.getElementById(id);
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const styles = () => getComputedStyle(document.documentElement);
 
-let position = 0; // on the tape; between two steps while it plays
+let position = 0; // on the timeline; between two steps while it plays
 let playing = false;
 let speed = 1; // of the task's own time
-let shown = [0, Math.max(count - 1, 1)]; // what the plots show of the tape
+let shown = [0, Math.max(count - 1, 1)]; // what the plots show of the timeline
 
 function format(value) {
   if (!Number.isFinite(value)) return "–";
@@ -47,7 +47,7 @@ function format(value) {
   return value.toFixed(digits).replace("-", "−");
 }
 
-const choiceRgb = (action) => tape.choices[action] || [125, 134, 146];
+const choiceRgb = (action) => timeline.choices[action] || [125, 134, 146];
 const choice = (action) => (scene && scene.choices[action]) || `choice ${action}`;
 
 const at = () => clamp(Math.floor(position + 1e-6), 0, count - 1);
@@ -59,7 +59,7 @@ function mean(values, i) {
 }
 
 const bars = [];
-for (const [n, agent] of tape.agents.entries()) {
+for (const [n, agent] of timeline.agents.entries()) {
   const box = document.createElement("div");
   box.className = "agent";
   const heading = document.createElement("h2");
@@ -92,11 +92,11 @@ for (const [n, agent] of tape.agents.entries()) {
 
 function showNow(i) {
   byId("step").textContent = String(numbers[i]);
-  byId("episode").textContent = tape.names[episodeAt(i)];
+  byId("episode").textContent = timeline.names[episodeAt(i)];
   byId("reward").textContent = format(mean(rewards, i));
   byId("return").textContent = format(mean(returns, i));
   for (const { reward, rows, n } of bars) {
-    const agent = tape.agents[n];
+    const agent = timeline.agents[n];
     reward.textContent =
       `reward ${format(rewards[i * team + n])}` + (exploring[i * team + n] ? ", exploring" : "");
     for (const [j, { fill, value }] of rows.entries()) {
