@@ -33,6 +33,7 @@ from plain.bcq import PlainBcq
 from plain.bremen import BremenProducts, PlainBremen
 from plain.cql import PlainCql
 from plain.discrete_cql import PlainDiscreteCql
+from plain.parts import Training
 from plain.td3bc import PlainTd3Bc
 from timing import (
     ENVS,
@@ -86,8 +87,9 @@ def entry(name: str, rounds: int) -> Entry:
     learner, spec, data, online = tuned(name, rounds)
     section = learner.description.algorithm
     made = Entry(name, Timed(name, tuning(learner, online)), [], {})
-    plain = PLAIN[name](section, spec, data)
-    made.peers.append(Timed("CORL's way", repeated(plain.update)))
+    plain = PLAIN[name](section, spec.observation_size, spec.choices or spec.action_size)
+    training = Training(plain, data, section.batch_size)
+    made.peers.append(Timed("CORL's way", repeated(training.update)))
     if reason := jax_peer.missing(name):
         made.absent["JAX"] = reason
     else:
@@ -108,13 +110,16 @@ def bremen(rounds: int) -> list[Entry]:
         learner, spec, data, online = tuned("bremen", rounds, f"algorithm.improvements={count}")
         section = learner.description.algorithm
         assert isinstance(section, BremenSection)
-        plain = PlainBremen(section, spec, data, registry.task(learner.description.env.id))
+        sizes = spec.observation_size, spec.action_size
+        plain = PlainBremen(section, *sizes, registry.task(learner.description.env.id))
+        training = Training(plain, data, section.batch_size)
+        plain.fit_statistics(training.fields)
         if count:
-            peers = [Timed("CORL's way", repeated(partial(tune, plain), times=count))]
+            peers = [Timed("CORL's way", repeated(partial(tune, plain, training), times=count))]
         else:
-            products = BremenProducts(section, spec)
+            products = BremenProducts(section, *sizes)
             peers = [
-                Timed("CORL's way", repeated(plain.update)),
+                Timed("CORL's way", repeated(training.update)),
                 Timed("  matrix products alone", repeated(products.update)),
             ]
         ours = Timed(name, tuning(learner, online))
@@ -123,10 +128,10 @@ def bremen(rounds: int) -> list[Entry]:
     return made
 
 
-def tune(plain: PlainBremen) -> None:
+def tune(plain: PlainBremen, training: Training) -> None:
     for _ in range(UPDATES_AN_IMPROVEMENT):
-        plain.update()
-    plain.improve()
+        training.update()
+    plain.improve(training.sample()[0], plain.sample_improvement_noise(training.batch_size))
 
 
 def tuned(

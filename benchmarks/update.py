@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import torch
 from plain.bcq import PlainBcq
+from plain.parts import Training
 from timing import (
     OFFLINE,
     ONLINE,
@@ -54,7 +55,9 @@ def variants(env_id: str, rounds: int) -> list[Variant]:
         brain.pretrain(lambda progress: None, lambda: None)
         return tuning(brain, online)
 
-    peer = PlainBcq(BcqSection(), spec, offline, fused=True)
+    section = BcqSection()
+    plain = PlainBcq(section, spec.observation_size, spec.action_size, fused=True)
+    peer = Training(plain, offline, section.batch_size)
     uniform, balanced = "sampling.name=uniform", "sampling.name=balanced"
     embedding, value = "sampling.distance=embedding", "sampling.distance=value"
     dynamics, typical = "sampling.distance=dynamics", "sampling.distance=typical"

@@ -1,7 +1,11 @@
-"""The peers of the benchmarks: algorithms as they are usually written in torch.
+"""The algorithms as they are usually written in torch: what ours must equal, and the peers that it
+is timed against.
 
-Modules, autograd, torch.optim.Adam, one operation after another; each update draws its own
-minibatch and noise, gathers field by field, and reads its losses back, as single-file
-implementations such as CORL's do. Sizes and rates come from the same sections as ours. Nothing
-here is shared with the library.
+Modules, autograd, torch.optim.Adam, one operation after another, as in single-file
+implementations such as CORL's, written from the published equations. Sizes and rates come from
+the same sections as ours; nothing else here is shared with the library. The tests make hundred
+updates in float64 with noise of their own (tests/algorithms), the benchmarks let each update draw
+its own minibatch and noise (`parts.Training`).
+
+States are standardised beforehand where an algorithm wants that (`standardised`).
 """

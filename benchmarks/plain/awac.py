@@ -1,5 +1,6 @@
 """Plain AWAC."""
 
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 
 import torch
@@ -8,33 +9,39 @@ from torch.distributions import Normal
 from torch.nn.functional import mse_loss
 
 from otc_dist.algorithms.awac import AwacSection
-from otc_dist.spec import AgentSpec
-from otc_dist.transitions import Transitions
 
-from .parts import Minibatches, TwinCritics, follow, mlp, step
+from .parts import TwinCritics, follow, mlp, several, step
 
 
 class PlainAwac:
-    """AWAC with softmax weights and a state-independent standard deviation."""
+    """AWAC of Nair et al., 2020, as the authors' code has it, or with CORL's weights; its standard
+    deviation does not depend on the state.
+    """
 
-    def __init__(self, section: AwacSection, spec: AgentSpec, data: Transitions) -> None:
-        s, a, hidden = spec.observation_size, spec.action_size, section.hidden
-        self.section = section
-        self.minibatches = Minibatches(data, section.batch_size)
-        self.minibatches.standardise()
-        self.actor, self.critics = mlp(s, hidden, a), TwinCritics(s + a, hidden)
+    standardised = True
+
+    def __init__(
+        self, section: AwacSection, s: int, a: int, dtype: torch.dtype = torch.float32
+    ) -> None:
+        hidden = section.hidden
+        self.section, self.action_size = section, a
+        self.actor, self.critics = mlp(s, hidden, a, dtype), TwinCritics(s + a, hidden, dtype)
         self.target_critics = deepcopy(self.critics)
-        self.log_std_logits = nn.Parameter(torch.zeros(a))
+        self.log_std_logits = nn.Parameter(torch.zeros(a, dtype=dtype))
         adam = torch.optim.Adam
         policy = [*self.actor.parameters(), self.log_std_logits]
         self.actor_adam = adam(policy, section.actor_learning_rate)
         self.critic_adam = adam(self.critics.parameters(), section.critic_learning_rate)
 
-    def update(self) -> list[float]:
-        s, a, r, next_s, done = self.minibatches.sample()
+    def sample_noise(self, count: int) -> dict[str, Tensor]:
+        return {name: torch.randn(count, self.action_size) for name in ("target", "actor")}
+
+    def update(self, batch: Sequence[Tensor], noise: Mapping[str, Tensor]) -> list[float]:
+        """The losses of the critics and of the actor, and the mean target."""
+        s, a, r, next_s, done = batch
 
         with torch.no_grad():
-            next_a = self.policy(next_s).sample().clamp(-1, 1)
+            next_a = self.sample(self.policy(next_s), noise["target"])
             target = torch.min(*self.target_critics(next_s, next_a))
             target = r + self.section.discount * (1 - done) * target
         q1, q2 = self.critics(s, a)
@@ -42,15 +49,31 @@ class PlainAwac:
 
         policy = self.policy(s)
         with torch.no_grad():
-            value = torch.min(*self.critics(s, policy.sample().clamp(-1, 1)))
-            advantage = torch.min(*self.critics(s, a)) - value
-            weight = len(s) * torch.softmax(advantage / self.section.temperature, 0)
+            value = torch.min(*self.critics(s, self.sample(policy, noise["actor"])))
+            weight = self.weights(torch.min(*self.critics(s, a)) - value)
         actor_loss = -(policy.log_prob(a).sum(-1) * weight).mean()
         step(self.critic_adam, critic_loss)
         step(self.actor_adam, actor_loss)
 
         follow(self.target_critics, self.critics, self.section.target_rate)
-        return [critic_loss.item(), actor_loss.item()]
+        return [x.item() for x in (critic_loss, actor_loss, target.mean())]
+
+    def weights(self, advantages: Tensor) -> Tensor:
+        scores = advantages / self.section.temperature
+        if self.section.weighting == "softmax":
+            return len(scores) * torch.softmax(scores, 0)
+        return scores.exp().clamp(max=100)
 
     def policy(self, s: Tensor) -> Normal:
         return Normal(self.actor(s).tanh(), (6 * self.log_std_logits.sigmoid() - 6).exp())
+
+    def sample(self, policy: Normal, noise: Tensor) -> Tensor:
+        return (policy.mean + policy.stddev * noise).clamp(-1, 1)
+
+    def value(self, s: Tensor, noise: Tensor) -> Tensor:
+        """The mean of Q_1 over actions of the policy (B,), for noise (B, n, a)."""
+        repeated = several(s, noise.shape[1])
+        return self.critics.one(repeated, self.sample(self.policy(repeated), noise)).mean(1)
+
+    def act(self, s: Tensor) -> Tensor:
+        return self.policy(s).mean

@@ -1,6 +1,6 @@
 """What the tests of several algorithms ask of them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from collections.abc import Set as AbstractSet
 from typing import Protocol
 
@@ -8,12 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.plain.parts import Plain, normalised, statistics
 from otc_dist.algorithms.interface import Algorithm, Batch
 from otc_dist.steps.engine import Engine
 from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import P, State, T
 
-from ..references import Standardised
+from ..flat_weights import Parts, get_flat
 from .arrays import first, random_batch
 
 UPDATES, BATCH = 120, 32
@@ -26,14 +27,6 @@ class Batches(Protocol):
     def __call__(self, random: np.random.Generator, s: int, a: int, size: int) -> Batch: ...
 
 
-class Plain(Protocol):
-    """An algorithm as modules, autograd and torch.optim.Adam, which already has its weights."""
-
-    def update(self, batch: Sequence[Tensor], noise: Mapping[str, Tensor]) -> list[float]: ...
-
-    def weights(self) -> dict[str, Tensor]: ...
-
-
 def plainly(function: Callable[P, T]) -> Callable[P, T]:
     """A `Fuse` that leaves every function as it is."""
     return function
@@ -42,15 +35,20 @@ def plainly(function: Callable[P, T]) -> Callable[P, T]:
 def assert_equals_plain(
     algorithm: Algorithm,
     plain: Plain,
+    parts: Parts,
     state: State,
     sizes: tuple[int, int],
+    standard: Callable[[Tensor], Tensor] = lambda states: states,
     spread: float = 1.0,
     batches: Batches = random_batch,
 ) -> State:
     """Same metrics and weights in float64 for 120 updates from the same batches and noise.
 
     Args:
+        plain: as modules, autograd and torch.optim.Adam; already has the state's weights.
+        parts: of the plain version, that the state has as vectors.
         sizes: of an observation and an action.
+        standard: what the plain version wants done to states.
         spread: what the noise is multiplied by.
 
     Returns:
@@ -62,20 +60,33 @@ def assert_equals_plain(
         sampled = first(sample_noise(random, algorithm.noise_spec(BATCH), 1))
         noise = {name: spread * tensor for name, tensor in sampled.items()}
         state, metrics = algorithm.update(state, batch, batch, noise)
-        expected = plain.update(batch, noise)
+        expected = plain.update(
+            batch._replace(
+                observation=standard(batch.observation),
+                next_observation=standard(batch.next_observation),
+            ),
+            noise,
+        )
         np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10, atol=1e-12)
-    for name, weights in plain.weights().items():
-        np.testing.assert_allclose(state[name].numpy(), weights.numpy(), atol=1e-10, err_msg=name)
+    assert_same_weights(state, parts)
     assert float(state["updates"]) == UPDATES
     return state
 
 
-def standardise_alike(plain: Standardised, state: State, offline: Batch) -> None:
-    """The plain version finds the same statistics; the state's, rounded to float32, become its."""
-    plain.fit_normaliser(offline.observation)
-    for name, statistic in (("state_mean", plain.mean), ("state_std", plain.std)):
+def assert_same_weights(state: State, parts: Parts) -> None:
+    for name, held in parts.items():
+        np.testing.assert_allclose(state[name], get_flat(held), atol=1e-10, err_msg=name)
+
+
+def standardised_alike(state: State, offline: Batch) -> Callable[[Tensor], Tensor]:
+    """Plain standardisation of states. It finds the same statistics; the state's, rounded to
+    float32, become its.
+    """
+    found = statistics(offline.observation)
+    for name, statistic in zip(("state_mean", "state_std"), found, strict=True):
         np.testing.assert_allclose(state[name], statistic, rtol=1e-6)
         state[name] = statistic
+    return lambda states: normalised(states, found)
 
 
 def assert_pure(

@@ -7,14 +7,21 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.plain.awac import PlainAwac
 from otc_dist.algorithms.awac import Awac, AwacSection
 from otc_dist.algorithms.interface import Batch
 from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 
-from .. import references_awac
+from ..flat_weights import Parts, load
 from .arrays import double, first, random_batch
-from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure, standardise_alike
+from .checks import (
+    BATCH,
+    assert_engines_agree,
+    assert_equals_plain,
+    assert_pure,
+    standardised_alike,
+)
 
 SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
 Weighting = Literal["softmax", "exponential"]
@@ -55,21 +62,25 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
     # Another target than the network, so that a mistaken use of either shows.
     state["critic_target"] = start(awac, random)[0]["critic"]
     state["actor"][-a:] = torch.linspace(1, 3, a)  # samples beyond the bounds
-    plain = references_awac.Awac(
-        *(s, a, hidden), 3e-4, 5e-4, tau=0.05, weighting=weighting, temperature=temperature
-    )
-    plain.load(state)
-    standardise_alike(plain, state, offline)
-    state = assert_equals_plain(awac, plain, state, (s, a))
+    plain = PlainAwac(awac.settings, s, a, torch.float64)
+    parts: Parts = {
+        "actor": [plain.actor, plain.log_std_logits],
+        "critic": [[plain.critics.first, plain.critics.second]],
+        "critic_target": [[plain.target_critics.first, plain.target_critics.second]],
+    }
+    load(parts, state)
+    standard = standardised_alike(state, offline)
+    state = assert_equals_plain(awac, plain, parts, state, (s, a), standard)
 
     states = torch.from_numpy(random.standard_normal((6, s)))
+    standardised = standard(states)
     noise = first(sample_noise(random, awac.value_noise_spec(6, 4), 1))
     with torch.no_grad():
-        actions, values = plain.act(states), plain.value(states, noise["value"])
+        actions, values = plain.act(standardised), plain.value(standardised, noise["value"])
     np.testing.assert_allclose(awac.act(state, states, {}), actions, atol=1e-10)
     np.testing.assert_allclose(awac.value(state, states, noise), values, atol=1e-10)
     with torch.no_grad():
-        judged = plain.critics[0](plain.standard(states), actions)[:, 0]
+        judged = plain.critics.one(standardised, actions)
     np.testing.assert_allclose(awac.q(state, states, actions), judged, atol=1e-10)
 
 

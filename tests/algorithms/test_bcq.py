@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.plain.bcq import PlainBcq
 from otc_dist.algorithms.bcq import Bcq, BcqSection
-from otc_dist.algorithms.interface import Batch
 from otc_dist.steps.noise import sample_noise
-from otc_dist.steps.state import State
 
-from .. import references
+from ..flat_weights import Parts, load
+from .arrays import double, first, random_batch
+from .checks import BATCH, assert_equals_plain
 
 SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
-UPDATES, BATCH, CANDIDATES = 120, 32, 5
+CANDIDATES = 5
 
 
 def make(s: int, a: int, hidden: tuple[int, ...]) -> Bcq:
@@ -31,48 +32,27 @@ def make(s: int, a: int, hidden: tuple[int, ...]) -> Bcq:
     return Bcq(s, a, settings)
 
 
-def random_batch(random: np.random.Generator, s: int, a: int, size: int = BATCH) -> Batch:
-    states = random.standard_normal((2, size, s))
-    fields = (
-        states[0],
-        random.uniform(-1, 1, (size, a)),
-        random.standard_normal(size),
-        states[0] + 0.1 * states[1],
-        (random.random(size) < 0.1).astype(float),
-    )
-    return Batch(*(torch.from_numpy(field) for field in fields))
-
-
-def double(arrays: dict[str, np.ndarray]) -> State:
-    return {name: torch.from_numpy(np.array(array, np.float64)) for name, array in arrays.items()}
-
-
-def first(arrays: dict[str, np.ndarray]) -> State:
-    return {name: tensor[0] for name, tensor in double(arrays).items()}
-
-
 @pytest.mark.parametrize(("s", "a", "hidden"), SIZES)
 def test_losses_and_weights_equal_the_plain_version_in_float64(
     s: int, a: int, hidden: tuple[int, ...]
 ) -> None:
     random = np.random.default_rng(0)
     bcq = make(s, a, hidden)
-    state = double(bcq.initial_state(random, random_batch(random, s, a)))
+    state = double(bcq.initial_state(random, random_batch(random, s, a, BATCH)))
     # Other targets than networks, so that a mistaken use of either shows.
     for name in ("critic", "actor"):
-        other = bcq.initial_state(random, random_batch(random, s, a))
+        other = bcq.initial_state(random, random_batch(random, s, a, BATCH))
         state[f"{name}_target"] = double(other)[name]
-    plain = references.Bcq(s, a, hidden, actor_rate=3e-4, critic_rate=5e-4, vae_rate=1e-3, tau=0.05)
-    plain.load(state)
-    for _ in range(UPDATES):
-        batch = random_batch(random, s, a)
-        noise = first(sample_noise(random, bcq.noise_spec(BATCH), 1))
-        state, metrics = bcq.update(state, batch, batch, noise)
-        expected = plain.update(batch, noise)
-        np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10, atol=1e-12)
-    for name, weights in plain.weights().items():
-        np.testing.assert_allclose(state[name].numpy(), weights.numpy(), atol=1e-10, err_msg=name)
-    assert float(state["updates"]) == UPDATES
+    plain = PlainBcq(bcq.settings, s, a, torch.float64)
+    parts: Parts = {
+        "vae": [plain.encoder, plain.decoder],
+        "actor": [plain.actor],
+        "actor_target": [plain.target_actor],
+        "critic": [[plain.critics.first, plain.critics.second]],
+        "critic_target": [[plain.target_critics.first, plain.target_critics.second]],
+    }
+    load(parts, state)
+    state = assert_equals_plain(bcq, plain, parts, state, (s, a))
 
     states = torch.from_numpy(random.standard_normal((6, s)))
     specs = {**bcq.acting_noise_spec(6), **bcq.value_noise_spec(6, 4)}
@@ -86,9 +66,9 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
 def test_update_leaves_its_arguments_alone() -> None:
     random = np.random.default_rng(1)
     bcq = make(4, 2, (8, 8))
-    state = double(bcq.initial_state(random, random_batch(random, 4, 2)))
+    state = double(bcq.initial_state(random, random_batch(random, 4, 2, BATCH)))
     before = {name: tensor.clone() for name, tensor in state.items()}
-    batch = random_batch(random, 4, 2)
+    batch = random_batch(random, 4, 2, BATCH)
     new, _ = bcq.update(state, batch, batch, first(sample_noise(random, bcq.noise_spec(BATCH), 1)))
     for name, tensor in before.items():
         assert torch.equal(state[name], tensor), name
@@ -98,8 +78,8 @@ def test_update_leaves_its_arguments_alone() -> None:
 def test_target_at_a_terminal_state_is_the_reward() -> None:
     random = np.random.default_rng(2)
     bcq = make(4, 2, (8, 8))
-    state = double(bcq.initial_state(random, random_batch(random, 4, 2)))
-    batch = random_batch(random, 4, 2)._replace(terminated=torch.ones(BATCH).double())
+    state = double(bcq.initial_state(random, random_batch(random, 4, 2, BATCH)))
+    batch = random_batch(random, 4, 2, BATCH)._replace(terminated=torch.ones(BATCH).double())
     noise = first(sample_noise(random, bcq.noise_spec(BATCH), 1))
     assert torch.equal(bcq.target(state, batch, noise["target"]), batch.reward)
 
@@ -107,7 +87,7 @@ def test_target_at_a_terminal_state_is_the_reward() -> None:
 def test_actions_stay_within_bounds() -> None:
     random = np.random.default_rng(3)
     bcq = make(4, 2, (8, 8))
-    state = double(bcq.initial_state(random, random_batch(random, 4, 2)))
+    state = double(bcq.initial_state(random, random_batch(random, 4, 2, BATCH)))
     state["vae"] = state["vae"] * 50  # saturates the decoder
     state["actor"] = state["actor"] * 50
     states = torch.from_numpy(random.standard_normal((64, 4)))

@@ -1,4 +1,4 @@
-"""BREMEN as pure functions equals a plain BREMEN of modules, loops and a Fisher matrix."""
+"""BREMEN as pure functions equals a plain BREMEN of modules, autograd and torch.optim.Adam."""
 
 from typing import Any
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.plain.bremen import PlainBremen
 from otc_dist.algorithms.bremen.advantages import generalised_advantages
 from otc_dist.algorithms.bremen.algorithm import Bremen, BremenSection
 from otc_dist.algorithms.interface import Batch, unpack
@@ -14,12 +15,19 @@ from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
-from .. import references_bremen
+from ..flat_weights import Parts, load
 from .arrays import double, first, random_batch
-from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure, plainly
+from .checks import (
+    BATCH,
+    assert_engines_agree,
+    assert_equals_plain,
+    assert_pure,
+    assert_same_weights,
+    plainly,
+)
 
 SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
-SMALL_SIZES = [(5, 1, (16, 16)), (7, 3, (12, 8))]  # an explicit Fisher matrix is large
+SMALL_SIZES = [(5, 1, (16, 16)), (7, 3, (12, 8))]
 IMPROVED = {"policy", "value", "value_moments", "value_updates"}  # by an improvement, nothing else
 STATISTICS = {
     f"{name}_{of}" for name in ("observation", "action", "change") for of in ("mean", "std")
@@ -82,31 +90,34 @@ def improved(bremen: Bremen, state: State, batch: Batch, seed: int) -> tuple[Sta
         return bremen.improve(plainly, state, batch, noise)
 
 
-def plain_of(bremen: Bremen, state: State, offline: Batch) -> references_bremen.Bremen:
+def plain_of(bremen: Bremen, state: State, offline: Batch) -> tuple[PlainBremen, Parts]:
     """The plain version with the same weights; the state's statistics become the plain ones,
     since its own are rounded to float32.
     """
-    plain = references_bremen.Bremen(
-        bremen.task,
-        bremen.observation_size,
-        bremen.action_size,
-        bremen.settings.hidden,
-        clone_rate=bremen.settings.actor_learning_rate,
-        model_rate=bremen.settings.model_learning_rate,
-        horizon=bremen.settings.horizon,
-        std=bremen.settings.std,
-        radius=bremen.settings.radius,
-    )
-    plain.load(state)
-    moments = plain.fit_normalisers(offline.observation, offline.action, offline.next_observation)
-    assert moments.keys() == STATISTICS
-    for name, statistic in moments.items():
+    sizes = bremen.observation_size, bremen.action_size
+    plain = PlainBremen(bremen.settings, *sizes, bremen.task, torch.float64)
+    parts: Parts = {
+        "models": [[*plain.models]],
+        "clone": [plain.clone],
+        "policy": [plain.policy],
+        "value": [plain.values],
+        "models_average": [[*plain.average_models]],
+        "clone_average": [plain.average_clone],
+    }
+    load(parts, state)
+    plain.fit_statistics(offline)
+    statistics = {
+        f"{name}_{of}": statistic
+        for name, found in plain.statistics.items()
+        for of, statistic in zip(("mean", "std"), found, strict=True)
+    }
+    assert statistics.keys() == STATISTICS
+    for name, statistic in statistics.items():
         np.testing.assert_allclose(state[name], statistic, rtol=1e-6, atol=1e-7)
         state[name] = statistic
-    scale = plain.fit_value_scale(offline.reward)
-    np.testing.assert_allclose(state["value_scale"], scale, rtol=1e-6)
-    state["value_scale"] = scale
-    return plain
+    np.testing.assert_allclose(state["value_scale"], plain.value_scale, rtol=1e-6)
+    state["value_scale"] = plain.value_scale
+    return plain, parts
 
 
 @pytest.mark.parametrize(("s", "a", "hidden"), SIZES)
@@ -115,8 +126,8 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
 ) -> None:
     bremen = make(s, a, hidden)
     state, offline = start(bremen, np.random.default_rng(0))
-    plain = plain_of(bremen, state, offline)
-    assert_equals_plain(bremen, plain, state, (s, a))
+    plain, parts = plain_of(bremen, state, offline)
+    assert_equals_plain(bremen, plain, parts, state, (s, a))
 
 
 @pytest.mark.parametrize(("s", "a", "hidden"), SMALL_SIZES)
@@ -131,7 +142,7 @@ def test_improvements_equal_the_plain_version_in_float64(
     state, offline = start(bremen, random)
     # Another average than the weights, so that a mistaken use of either shows.
     state["models_average"] = 1.1 * state["models_average"]
-    plain = plain_of(bremen, state, offline)
+    plain, parts = plain_of(bremen, state, offline)
     for _ in range(3):
         batch = random_batch(random, s, a, BATCH)
         noise = first(sample_noise(random, bremen.improvement_noise_spec(BATCH), 1))
@@ -141,12 +152,11 @@ def test_improvements_equal_the_plain_version_in_float64(
         ends, length = expected[1], expected[-1]
         assert 0 < ends < 1 and length > 0  # episodes end, and a step is taken
         np.testing.assert_allclose(metrics.numpy(), expected, rtol=1e-10)
-        for name, weights in plain.weights().items():
-            np.testing.assert_allclose(state[name], weights, atol=1e-10, err_msg=name)
+        assert_same_weights(state, parts)
     states = torch.from_numpy(random.standard_normal((6, s)))
     with torch.no_grad():
-        actions = plain.mean(plain.policy, states)
-        cloned = plain.mean(plain.clone, states)
+        actions = plain.act(states)
+        cloned = plain.clone(plain.normal("observation", states)).tanh()
     np.testing.assert_allclose(bremen.act(state, states, {}), actions, atol=1e-10)
     assert not torch.allclose(actions, cloned, atol=1e-2)
 

@@ -1,4 +1,4 @@
-"""Discrete CQL as pure functions equals a plain version that loops over available actions."""
+"""Discrete CQL as pure functions equals a plain version of modules and masks."""
 
 import math
 
@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.plain.discrete_cql import PlainDiscreteCql
 from otc_dist.algorithms.discrete_cql import DiscreteCql, DiscreteCqlSection
 from otc_dist.algorithms.interface import Batch
 from otc_dist.steps.state import State
 
-from .. import references_cql
+from ..flat_weights import Parts, load
 from .arrays import double, random_choices
 from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure
 
@@ -42,9 +43,10 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
     state, batch = start(cql, random)
     # Another target than the network, so that a mistaken use of either shows.
     state["critic_target"] = start(cql, random)[0]["critic"]
-    plain = references_cql.DiscreteCql(s, choices, hidden, 5e-4, tau=0.05, weight=1.5)
-    plain.load(state)
-    state = assert_equals_plain(cql, plain, state, (s, choices), batches=random_choices)
+    plain = PlainDiscreteCql(cql.settings, s, choices, torch.float64)
+    parts: Parts = {"critic": [plain.critic], "critic_target": [plain.target_critic]}
+    load(parts, state)
+    state = assert_equals_plain(cql, plain, parts, state, (s, choices), batches=random_choices)
 
     states = batch.observation
     with torch.no_grad():

@@ -4,14 +4,21 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.plain.td3bc import PlainTd3Bc
 from otc_dist.algorithms.interface import Batch
 from otc_dist.algorithms.td3bc import Td3Bc, Td3BcSection
 from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 
-from .. import references_td3bc
+from ..flat_weights import Parts, load
 from .arrays import double, first, random_batch
-from .checks import BATCH, assert_engines_agree, assert_equals_plain, assert_pure, standardise_alike
+from .checks import (
+    BATCH,
+    assert_engines_agree,
+    assert_equals_plain,
+    assert_pure,
+    standardised_alike,
+)
 
 SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
 DELAYED = {"actor", "actor_moments", "actor_target", "critic_target"}
@@ -47,15 +54,22 @@ def test_losses_and_weights_equal_the_plain_version_in_float64(
     others, _ = start(td3bc, random)
     for name in ("critic", "actor"):
         state[f"{name}_target"] = others[name]
-    plain = references_td3bc.Td3Bc(s, a, hidden, actor_rate=3e-4, critic_rate=5e-4, tau=0.05)
-    plain.load(state)
-    standardise_alike(plain, state, offline)
+    plain = PlainTd3Bc(td3bc.settings, s, a, torch.float64)
+    parts: Parts = {
+        "actor": [plain.actor],
+        "actor_target": [plain.target_actor],
+        "critic": [[plain.critics.first, plain.critics.second]],
+        "critic_target": [[plain.target_critics.first, plain.target_critics.second]],
+    }
+    load(parts, state)
+    standard = standardised_alike(state, offline)
     # Noise beyond the clip as well.
-    state = assert_equals_plain(td3bc, plain, state, (s, a), spread=3.0)
+    state = assert_equals_plain(td3bc, plain, parts, state, (s, a), standard, spread=3.0)
 
     states = torch.from_numpy(random.standard_normal((6, s)))
+    standardised = standard(states)
     with torch.no_grad():
-        actions, values = plain.act(states), plain.value(states)
+        actions, values = plain.act(standardised), plain.value(standardised)
     np.testing.assert_allclose(td3bc.act(state, states, {}), actions, atol=1e-10)
     np.testing.assert_allclose(td3bc.value(state, states, {}), values, atol=1e-10)
     np.testing.assert_allclose(td3bc.q(state, states, actions), values, atol=1e-10)

@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from benchmarks.plain.parts import mlp, step
 from otc_dist.otc.data import Data
 from otc_dist.otc.samplers import balanced
 from otc_dist.otc.samplers.balanced import Balanced, BalancedSection
@@ -17,8 +18,8 @@ from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
-from .. import references
 from ..brains import ARMS, SPEC, online, pretrained, silent, transitions
+from ..flat_weights import get_flat, set_flat
 from .held import held_by
 
 S, A, BATCH, CAPACITY = 5, 2, 16, 450
@@ -79,8 +80,8 @@ class Plain:
 
     def __init__(self, sampler: Balanced, state: State) -> None:
         settings = sampler.settings
-        self.network = references.Network(S + A, settings.density_hidden, 1)
-        references.set_flat([self.network], state["sampler_density"])
+        self.network = mlp(S + A, settings.density_hidden, 1, torch.float64)
+        set_flat([self.network], state["sampler_density"])
         self.adam = torch.optim.Adam(
             self.network.parameters(), lr=sampler.settings.density_learning_rate
         )
@@ -115,7 +116,7 @@ class Plain:
             powers = self.w(data.rows[chosen]) ** (1 / self.temperature)
             normalised = powers / ((w_off ** (1 / self.temperature)).mean() + 1e-10)
         self.priorities[chosen] = self.rounded(normalised.clamp(0.001, 1000).numpy())
-        references.step(self.adam, loss)
+        step(self.adam, loss)
         return chosen
 
 
@@ -134,7 +135,7 @@ def test_weights_draws_and_priorities_equal_the_plain_version_in_float64() -> No
             selection = sampler.select(state, sampler.gather(state, data, sampled), sampled)
         state = {**state, **selection.changed}
         assert selection.rows.tolist() == plain.update(data, sampled)
-        weights = references.get_flat([plain.network])
+        weights = get_flat([plain.network])
         np.testing.assert_allclose(state["sampler_density"], weights, atol=1e-10)
         priorities = state["sampler_priorities"].view(-1)[:CAPACITY]
         np.testing.assert_allclose(priorities, plain.priorities, atol=1e-10)

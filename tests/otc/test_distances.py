@@ -9,7 +9,7 @@ from otc_dist.otc.distances.embedding import nearest_l1
 from otc_dist.otc.distances.value import GUARD, match_values, next_state_distance
 from otc_dist.otc.samplers.correction import NormaliserName
 
-from .. import references
+from . import plain
 
 NORMALISERS: tuple[NormaliserName, ...] = ("paper", "shared", "relative")
 
@@ -20,7 +20,7 @@ def normal(seed: int, *shape: int) -> Tensor:
 
 def test_nearest_l1_equals_brute_force() -> None:
     queries, online = normal(0, 60, 10), normal(1, 90, 10)
-    expected = references.nearest_l1(queries.numpy(), online.numpy())
+    expected = plain.nearest_l1(queries.numpy(), online.numpy())
     np.testing.assert_allclose(nearest_l1(queries, online), expected, rtol=1e-12)
 
 
@@ -28,7 +28,7 @@ def test_nearest_l1_equals_brute_force() -> None:
 def test_match_by_searchsorted_equals_dense(size: int) -> None:
     q, online = 3 * normal(2, 400), normal(3, size)  # some queries lie outside of D's range
     matches = match_values(q, online)
-    assert matches.tolist() == references.match_by_value(q.numpy(), online.numpy()).tolist()
+    assert matches.tolist() == plain.match_by_value(q.numpy(), online.numpy()).tolist()
 
 
 def test_match_where_many_values_are_equal_is_as_near_as_dense() -> None:
@@ -103,7 +103,7 @@ def test_exclude_self_keeps_twins_of_the_query() -> None:
 def test_value_distance_equals_the_formula(normaliser: NormaliserName) -> None:
     v, matched = 5 + normal(12, 200), 4 + normal(13, 200)
     distances, guarded = next_state_distance(v, matched, normaliser)
-    expected = references.value_distance(v.numpy(), matched.numpy(), normaliser)
+    expected = plain.value_distance(v.numpy(), matched.numpy(), normaliser)
     np.testing.assert_allclose(distances, expected, rtol=1e-12)
     assert guarded == 0
 

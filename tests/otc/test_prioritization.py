@@ -10,7 +10,7 @@ from torch import Tensor
 
 from otc_dist.otc.prioritization import prioritize
 
-from .. import references
+from . import plain
 
 DISTANCES = torch.tensor([0.3, 0.1, 0.9, 0.2, 0.5, 0.7])
 TRIALS = 6000
@@ -48,7 +48,7 @@ def test_selection_equals_the_plain_version(alpha: float, replace: bool) -> None
             count,
             with_replacement=replace,
         )
-        expected = references.prioritized(distances, alpha, noise, count, replace)
+        expected = plain.prioritized(distances, alpha, noise, count, replace)
         assert chosen.tolist() == expected
 
 
@@ -56,14 +56,14 @@ def test_selection_equals_the_plain_version(alpha: float, replace: bool) -> None
 @pytest.mark.parametrize("alpha", [0.0, 1.0, 2.0])
 def test_first_choice_has_the_chances_of_eq_3(alpha: float, replace: bool) -> None:
     counts = np.bincount(sample(alpha, replace=replace)[:, 0], minlength=len(DISTANCES))
-    expected = references.priorities(DISTANCES.numpy(), alpha)
+    expected = plain.priorities(DISTANCES.numpy(), alpha)
     assert stats.chisquare(counts, TRIALS * expected).pvalue > 1e-3
 
 
 @pytest.mark.parametrize("alpha", [0.0, 1.0])
 def test_pairs_without_replacement_have_the_chances_of_successive_draws(alpha: float) -> None:
     """P(i, then j) = p_i p_j / (1 - p_i)."""
-    p = references.priorities(DISTANCES.numpy(), alpha)
+    p = plain.priorities(DISTANCES.numpy(), alpha)
     pairs = sample(alpha, replace=False, count=2)
     orders = list(permutations(range(len(p)), 2))
     counts = [int(((pairs[:, 0] == i) & (pairs[:, 1] == j)).sum()) for i, j in orders]

@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy import stats
 
+from benchmarks.plain.bcq import PlainBcq
 from otc_dist.algorithms.bcq import Bcq, BcqSection
 from otc_dist.algorithms.interface import unpack
 from otc_dist.description import SamplingSection
@@ -23,8 +24,9 @@ from otc_dist.steps.noise import Noise, sample_noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
-from .. import references
 from ..brains import describe
+from ..flat_weights import load
+from . import plain
 from .held import held_by
 
 S, A, BATCH = 5, 2, 16
@@ -100,8 +102,12 @@ def plain_distances(
     section: CorrectionSection, state: State, data: Data, candidates: Any, online: Any, noise: Noise
 ) -> np.ndarray:
     """d(s', s'*) one candidate at a time."""
-    bcq = references.Bcq(S, A, (16, 16))
-    bcq.load(state)
+    bcq = PlainBcq(ALGORITHM.settings, S, A, torch.float64)
+    twins = [bcq.critics.first, bcq.critics.second]
+    load(
+        {"vae": [bcq.encoder, bcq.decoder], "actor": [bcq.actor], "critic": [twins]},
+        state,
+    )
     forbidden = candidates[:, None] == online[None, :] if section.exclude_self else None
     if section.distance == "embedding":
         mu = data.features.numpy()
@@ -119,7 +125,7 @@ def plain_distances(
 
     def q(numbers: Any) -> np.ndarray:
         batch = unpack(rows[numbers], LAYOUT)
-        return bcq.critics[0](batch.observation, batch.action)[:, 0].numpy()
+        return bcq.critics.one(batch.observation, batch.action).numpy()
 
     def v(numbers: Any) -> np.ndarray:
         batch = unpack(rows[numbers], LAYOUT)
@@ -138,7 +144,7 @@ def plain_distances(
         sign = np.where(matched_values < 0, -1, 1)
         scale = np.where(small, 0.01 * spread * sign, matched_values)
         return np.abs((values - matched_values) / scale)
-    return references.value_distance(values, matched_values, section.normaliser)
+    return plain.value_distance(values, matched_values, section.normaliser)
 
 
 @pytest.mark.parametrize(("distance", "normaliser", "replace", "exclude"), CHOICES)
@@ -163,7 +169,7 @@ def test_otc_chooses_what_plain_loops_choose(
         candidates, online = sampled["candidates"].numpy(), sampled["references"].numpy()
         expected = plain_distances(section, weights, data, candidates, online, sampled)
         np.testing.assert_allclose(distances, expected, rtol=1e-9, atol=1e-12)
-        positions = references.prioritized(
+        positions = plain.prioritized(
             expected, alpha, sampled["priority"].numpy(), BATCH, section.with_replacement
         )
         assert chosen.tolist() == candidates[positions].tolist()
