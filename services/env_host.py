@@ -30,6 +30,7 @@ from otc_dist.envs.rollout import Rollout
 from otc_dist.run.host_state import HostState
 from otc_dist.system import durable
 from otc_dist.system.processor import kind
+from otc_dist.terminal.amounts import plus_minus
 from otc_dist.transitions import Float32, JointStep
 
 from .acting import confirmed
@@ -169,7 +170,7 @@ class EnvHost:
         log.info("deployment %d: %d steps in %s", k, self._schedule.steps, path.name)
         if found := self._gate.measured(k):
             self._metrics = {"measured": found.mean, "error": found.error}
-            log.info("deployment %d measured %.1f ± %.1f", k, found.mean, found.error)
+            log.info("deployment %d measured %s", k, plus_minus(found.mean, found.error))
         self.heartbeat.publish()
 
     def _open_log(self, path: Path, k: int, rollout: Rollout) -> tuple[LogWriter, JointStep | None]:

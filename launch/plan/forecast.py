@@ -136,10 +136,3 @@ class Remaining:
         # Trust the table until some seconds have shown how this machine compares with it.
         slower = (clock - start + 5.0) / (done - before + 5.0)
         return (total - done) * slower
-
-
-def duration(seconds: float) -> str:
-    """3725 -> '1:02:05', 65 -> '1:05'."""
-    whole = round(seconds)
-    minutes = f"{whole % 3600 // 60}:{whole % 60:02d}"
-    return f"{whole // 3600}:{minutes.zfill(5)}" if whole >= 3600 else minutes

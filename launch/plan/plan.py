@@ -17,6 +17,7 @@ from otc_dist.envs import registry
 from otc_dist.run.exploration import Schedule
 from otc_dist.run.folder import RunFolder
 from otc_dist.spec import TeamSpec
+from otc_dist.terminal.amounts import duration
 
 from . import forecast
 from .deadline import within
@@ -155,7 +156,7 @@ class Plan:
                 yield from (f"      {does:9} {key}" for key in keys)
         seconds = sum(part.seconds for part in self.parts)
         making = "" if self._cached else ", and what the data take to make"
-        yield f"time         about {forecast.duration(seconds)}{making}"
+        yield f"time         about {duration(seconds)}{making}"
 
     @property
     def _cached(self) -> bool:

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from otc_dist.run.folder import RunFolder
 from otc_dist.system import records
+from otc_dist.terminal.amounts import plus_minus
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import say
@@ -87,10 +88,8 @@ def waiting_lines(folder: RunFolder) -> list[str]:
         return []
     line, measured = f"waits for {told.waits_for}", told.measured
     if measured:
-        line += (
-            f"; deployment {measured.deployment} measured {measured.mean:,.1f} ±"
-            f" {measured.error:,.1f}"
-        )
+        found = plus_minus(measured.mean, measured.error)
+        line += f"; deployment {measured.deployment} measured {found}"
     if told.greedy_return is not None:
         line += f"; its greedy return is {told.greedy_return:,.1f}"
     return [line, f"approve with: python -m otc_dist.launch approve {folder.root}"]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
 from otc_dist.description.distances import FITS
+from otc_dist.terminal.amounts import plus_minus
 
 from ..plan.forecast import Remaining
 from ..supervise.health import Life
@@ -42,7 +43,7 @@ class Board:
             won = f", {measures['success']:.1f} % won" if "success" in measures else ""
             self.events.append(f"{status.process}: return {appeared['return']:.1f}{won}")
         if "measured" in appeared:
-            told = f"{measures['measured']:,.1f} ± {measures['error']:,.1f}"
+            told = plus_minus(measures["measured"], measures["error"])
             self.events.append(f"{status.process}: deployment {status.deployment} measured {told}")
         slowest = self._slowest()
         if slowest is None:

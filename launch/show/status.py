@@ -9,10 +9,11 @@ from pathlib import Path
 
 from otc_dist.bus.messages import Status
 from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.amounts import duration
 from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import aligned, say
 
-from ..plan import forecast, run_record
+from ..plan import run_record
 from ..plan.run_record import RunRecord
 from .approve import waiting, waiting_lines
 from .board import place
@@ -89,7 +90,7 @@ def _lines(folder: RunFolder, state: str, supervision: Supervision | None) -> It
     if (silence := _silence(supervision)) > _LATE:
         yield f"the launcher (process {supervision.launcher}) has said nothing for {silence:.0f} s"
     if supervision.seconds_left is not None:
-        yield f"about {forecast.duration(supervision.seconds_left)} to go"
+        yield f"about {duration(supervision.seconds_left)} to go"
     yield from _table(supervision.processes, shutil.get_terminal_size().columns)
 
 

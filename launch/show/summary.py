@@ -8,6 +8,7 @@ from typing import Any
 from rich.console import Console
 
 from otc_dist.run.folder import RunFolder
+from otc_dist.terminal.amounts import plus_minus
 from otc_dist.terminal.printable import printable, say
 
 _STYLES = {"good": "bold green", "bad": "bold red"}  # by the verdict's tone
@@ -63,7 +64,7 @@ def _recommended(told: Mapping[str, Any]) -> str:
     if told["mean"] is None:
         return line
     return (
-        f"{line}, measured {told['mean']:,.1f} ± {told['error']:,.1f} over the first"
+        f"{line}, measured {plus_minus(told['mean'], told['error'])} over the first"
         f" {told['horizon']} steps of {told['episodes']} episodes"
     )
 

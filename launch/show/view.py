@@ -13,10 +13,10 @@ from rich.text import Text
 
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.messages import Status
+from otc_dist.terminal.amounts import duration
 from otc_dist.terminal.printable import printable, say
 from otc_dist.terminal.progress import redraws
 
-from ..plan import forecast
 from ..supervise.health import Life
 from .board import Board, place
 
@@ -127,8 +127,8 @@ class TableView:
 
     def _table(self, board: Board) -> Table:
         """With as many columns as the terminal has room for: the least telling are left out."""
-        left = "" if board.seconds_left is None else forecast.duration(board.seconds_left)
-        ran = forecast.duration(time.monotonic() - self._start)
+        left = "" if board.seconds_left is None else duration(board.seconds_left)
+        ran = duration(time.monotonic() - self._start)
         title = f"{self._title} · {ran} so far" + (f", {left} to go" if left else "")
         columns = _columns(board)
         for name in ("", *_SPARE):
@@ -182,5 +182,5 @@ def _progress_line(board: Board) -> str:
         _progress(status) + (f" ({status.rate:,.0f}/s)" if status.rate else "")
         for status in board.busy
     ]
-    left = "" if board.seconds_left is None else f" · {forecast.duration(board.seconds_left)} to go"
+    left = "" if board.seconds_left is None else f" · {duration(board.seconds_left)} to go"
     return " · ".join(told) + left

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..plan import forecast
+from otc_dist.terminal.amounts import duration
+
 from .health import LIMIT
 from .signals import Signals
 from .standstill import Standstill
@@ -109,7 +110,7 @@ def run_jobs(
                 if end.status != 0 or not job.done:
                     raise FailedError(job, end)
                 clock.add(job.seconds)
-                took = forecast.duration(time.monotonic() - going.started)
+                took = duration(time.monotonic() - going.started)
                 print(f"{job.name}: done in {took}", flush=True)
                 finished(job)
             for name, going in running.items():
@@ -169,7 +170,7 @@ class _Clock:
         done = self._done + sum(job.seconds * share for job, share, _ in told)
         # Trust the forecasts until some seconds have shown how this machine compares with them.
         slower = ((now - self._start) * self._workers + 60) / (done + 60)
-        left = forecast.duration((self._total - done) * slower / self._workers)
+        left = duration((self._total - done) * slower / self._workers)
         lines = [f"{job.name}: {where}" for job, _, where in told]
         print(f"{' · '.join(lines)} · about {left} to go", flush=True)
 

@@ -167,8 +167,7 @@ def _spread(arm: Arm, by_label: Mapping[str, int]) -> Series:
     found, mean = arm.measures["return"].deployments, _mean(arm, by_label)
     if len(arm.seeds) < 2:
         return mean
-    low = [spread.mean - spread.std for spread in found]
-    high = [spread.mean + spread.std for spread in found]
+    low, high = zip(*(spread.band for spread in found), strict=True)
     return Series(mean.label, mean.x, mean.y, low, high, colour=mean.colour, dashed=mean.dashed)
 
 

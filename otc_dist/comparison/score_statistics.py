@@ -12,9 +12,10 @@ import numpy as np
 
 from otc_dist.comparison.arms import PERFECT, REFERENCE
 from otc_dist.comparison.conclusion import conclude
-from otc_dist.comparison.intervals import Difference, Spread
+from otc_dist.comparison.intervals import Difference
 from otc_dist.comparison.judgement import JUDGED, MEAN, recommended, returns
 from otc_dist.comparison.scores import Run
+from otc_dist.report.return_statistics import Spread
 from otc_dist.transitions import Float64
 
 Normalise = Callable[[float], float | None]

@@ -4,10 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isnan
 
 from otc_dist.comparison.arms import NULL, PERFECT, REFERENCE
-from otc_dist.comparison.intervals import RESAMPLES, Spread
+from otc_dist.comparison.intervals import RESAMPLES
 from otc_dist.comparison.judgement import MEAN, RECOMMENDED, WORST
 from otc_dist.comparison.score_statistics import Arm, Judged, Summary
 from otc_dist.comparison.scores import Run
+from otc_dist.report.return_statistics import Spread
 from otc_dist.terminal.printable import aligned
 
 TITLES = {
@@ -116,11 +117,8 @@ def null_last(summary: Summary) -> list[Arm]:
 
 
 def spread(found: Spread) -> str:
-    """`1,234.5 ± 67.8`."""
-    if isnan(found.mean):
-        return NOTHING
-    deviation = "" if isnan(found.std) else f" ± {found.std:,.1f}"
-    return f"{found.mean:,.1f}{deviation}"
+    """`1,234.5 ± 67.8`, or nothing."""
+    return NOTHING if isnan(found.mean) else str(found)
 
 
 def processors(runs: Mapping[str, Sequence[Run]]) -> str:

@@ -115,8 +115,8 @@ def returns_range(run: RunData) -> Range | None:
     """What the axes of all charts of returns hold, so that they can be compared; None: nothing."""
     values = [row.mean + way * row.error for row in estimates(run) for way in (-1, 1)]
     for one in run.evaluations:
-        if spread := Spread.of(one.returns):
-            values += [spread.mean - spread.std, spread.mean + spread.std]
+        if one.returns:
+            values += Spread.of(one.returns).band
     return (min(values), max(values)) if values else None
 
 

@@ -39,17 +39,15 @@ def offline_row(run: RunData) -> Row | None:
 
 
 def _row(evaluation: Evaluation) -> Row | None:
-    returns = Spread.of(evaluation.returns)
-    if returns is None:
+    if not evaluation.returns:
         return None
-    length = Spread.of([float(value) for value in evaluation.lengths])
-    won = Spread.of([100.0 * value for value in evaluation.successes or []])
+    lengths, won = evaluation.lengths, evaluation.successes
     return Row(
         evaluation.deployment,
-        returns,
+        Spread.of(evaluation.returns),
         evaluation.normalised_score,
-        length.mean if length else None,
-        won.mean if won else None,
+        sum(lengths) / len(lengths) if lengths else None,
+        100.0 * sum(won) / len(won) if won else None,
     )
 
 

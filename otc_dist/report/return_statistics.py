@@ -1,38 +1,56 @@
 """The few numbers that every table of returns shows."""
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
+
+from otc_dist.terminal.amounts import plus_minus
+from otc_dist.transitions import Float64
 
 LEVEL = 0.95  # of intervals
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean, standard deviation (of the values themselves, ddof 0), range and count."""
+    """Mean, standard deviation (ddof 1; NaN for one value), interquartile mean, range and count:
+    of the returns of episodes, or of one value a seed.
+    """
 
     mean: float
     std: float
+    iqm: float
     minimum: float
     maximum: float
     count: int
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> "Spread | None":
-        """None without values."""
-        if not values:
-            return None
-        array = np.asarray(values, np.float64)
-        return cls(
-            float(array.mean()),
-            float(array.std()),
-            float(array.min()),
-            float(array.max()),
-            len(values),
-        )
+    def of(cls, values: Sequence[float] | Float64) -> "Spread":
+        """All NaN if one of the values is not finite, or there is none."""
+        array, count = np.asarray(values, np.float64), len(values)
+        if not count or not np.isfinite(array).all():
+            return cls(*(math.nan,) * 5, count)
+        std = float(array.std(ddof=1)) if count > 1 else math.nan
+        iqm = interquartile_mean(array)
+        return cls(float(array.mean()), std, iqm, float(array.min()), float(array.max()), count)
+
+    def __str__(self) -> str:
+        """`1,234.5 ± 67.8`."""
+        return plus_minus(self.mean, self.std)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """One standard deviation to each side of the mean; nothing around a single value."""
+        std = 0.0 if self.count == 1 else self.std
+        return self.mean - std, self.mean + std
+
+
+def interquartile_mean(values: Float64) -> float:
+    """The mean without the lowest and the highest quarter (rounded down) of at least one value."""
+    cut = len(values) // 4
+    return float(np.sort(values)[cut : len(values) - cut].mean())
 
 
 def improvement(value: float, before: float) -> float | None:
@@ -48,10 +66,10 @@ def student_interval(values: Sequence[float]) -> tuple[float, float]:
     """95% interval of the mean by Student's t, which few values make as wide as they must; NaN for
     one.
     """
-    count = len(values)
-    if count < 2:
+    from scipy import stats  # it takes a second
+
+    if len(values) < 2:
         return math.nan, math.nan
-    array = np.asarray(values, np.float64)
-    quantile = float(stdtrit(count - 1, (1 + LEVEL) / 2))
-    half = quantile * float(array.std(ddof=1)) / math.sqrt(count)
-    return float(array.mean()) - half, float(array.mean()) + half
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # of equal values
+        found = stats.ttest_1samp(values, 0.0).confidence_interval(LEVEL)
+    return float(found.low), float(found.high)

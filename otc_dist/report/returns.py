@@ -12,13 +12,13 @@ from otc_dist.report.svg import Reference, Series, line_chart
 def learning_curve(run: RunData) -> str:
     """Greedy returns over deployments, with the lines that they are to be compared with."""
     table, offline = rows(run), offline_row(run)
-    means = [row.returns.mean for row in table]
+    bands = [row.returns.band for row in table]
     series = Series(
         "mean ±1 standard deviation",
         [float(row.deployment) for row in table],
-        means,
-        [row.returns.mean - row.returns.std for row in table],
-        [row.returns.mean + row.returns.std for row in table],
+        [row.returns.mean for row in table],
+        [low for low, _ in bands],
+        [high for _, high in bands],
     )
     references = [
         *([Reference("offline", offline.returns.mean)] if offline else []),

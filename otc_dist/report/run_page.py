@@ -11,6 +11,7 @@ from otc_dist.report.returns import learning_curve, returns_table
 from otc_dist.report.run_data import RunData
 from otc_dist.report.verdict import verdict
 from otc_dist.run.exploration import Schedule
+from otc_dist.terminal.amounts import duration
 
 
 def render(run: RunData) -> str:
@@ -94,7 +95,7 @@ def _figures(run: RunData) -> str:
         cost = schedule.steps * run.description.env.copies
         items.append((f"{cost:,}", f"transitions a deployment: M x {schedule.rounds} explorers"))
     if run.wall_seconds is not None:
-        items.append((_duration(run.wall_seconds), "wall time"))
+        items.append((duration(run.wall_seconds), "wall time"))
     return html.figures(items) if items else ""
 
 
@@ -124,7 +125,7 @@ def _provenance(run: RunData) -> str:
         ("seed", str(run.description.seed)),
         *([("pi_0 was taken from", str(origin))] if (origin := run.record.get("origin")) else []),
         ("started", _moment(run.record.get("started")) or "unknown"),
-        ("wall time", _duration(run.wall_seconds) if run.wall_seconds is not None else "unknown"),
+        ("wall time", duration(run.wall_seconds) if run.wall_seconds is not None else "unknown"),
     ]
     resumed = run.record.get("resumed")
     extended = run.record.get("extended")
@@ -170,11 +171,3 @@ def _moment(text: object) -> str:
         return datetime.fromisoformat(str(text)).strftime("%Y-%m-%d %H:%M %Z").strip()
     except ValueError:
         return str(text or "")
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours:
-        return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

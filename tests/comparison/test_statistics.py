@@ -211,6 +211,12 @@ def test_the_interval_is_that_of_the_normal_distribution_for_many_seeds() -> Non
     assert bootstrap(values) == (low, high)  # a fixed stream
 
 
+def test_equal_values_have_an_interval_of_no_width(recwarn: pytest.WarningsRecorder) -> None:
+    found = Difference.of({0: 3.0, 1: 3.0, 2: 3.0})
+    assert (found.low, found.high, found.t_low, found.t_high) == (3, 3, 3, 3)
+    assert not recwarn.list
+
+
 def test_one_seed_has_no_interval() -> None:
     found = Difference.of({4: 3.0})
     assert found.mean == 3 and all(

@@ -168,11 +168,6 @@ def test_a_plan_s_parts_cover_the_run_in_order() -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("seconds", "shown"), [(0, "0:00"), (65, "1:05"), (3725.4, "1:02:05")])
-def test_durations(seconds: float, shown: str) -> None:
-    assert forecast.duration(seconds) == shown
-
-
 class _Broken(LineView):
     """A view that draws once, and then fails, as a library may."""
 

@@ -66,7 +66,9 @@ def test_results_hold_the_raw_numbers_and_what_follows_from_them(made) -> None:
     assert results["evaluations"][2]["policies"] == {"agent_0": "digest 2"}
     last = results["table"][-1]
     # R_0 = -20, R_3 = 20: 100 (20 - -20) / |-20|.
-    assert last["returns"] == {"mean": 20, "std": 10, "minimum": 10, "maximum": 30, "count": 2}
+    std = pytest.approx(200**0.5)  # of 10 and 30, ddof 1
+    values = {"mean": 20, "std": std, "iqm": 20, "minimum": 10, "maximum": 30, "count": 2}
+    assert last["returns"] == values
     assert (last["improvement"], last["gain"], last["length"]) == (200.0, 4.0, 150.0)
     assert (results["table"][0]["improvement"], results["table"][0]["gain"]) == (None, None)
     # The mean over deployments of (-10, 10, 20).

@@ -9,6 +9,7 @@ import numpy as np
 
 from otc_dist.comparison.scores import read_json
 from otc_dist.run.measured_returns import standard_error
+from otc_dist.terminal.amounts import plus_minus
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.printable import aligned
 
@@ -40,9 +41,7 @@ class Estimate:
         return cls(float(array.mean()), error)
 
     def __str__(self) -> str:
-        if math.isnan(self.mean):
-            return "-"
-        return f"{self.mean:.3f}" + ("" if math.isnan(self.error) else f" ± {self.error:.3f}")
+        return "-" if math.isnan(self.mean) else plus_minus(self.mean, self.error, digits=3)
 
 
 @dataclass(frozen=True)
