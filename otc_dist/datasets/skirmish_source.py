@@ -3,9 +3,7 @@
 - `medium`: battles that the native skirmish's medium policy fought, 10,000 of them as in the
   paper. All agents act by one network, each on its own observation, and sample from its softmax,
   which is nearly deterministic: the paper's behaviour policies are "very deterministic".
-- `random`: uniform among what is available; SMAX's only level, of which no policies are shipped.
-
-StarCraft II's own random battles are `RandomSource`'s.
+- `random`: uniform among what is available.
 """
 
 from collections.abc import Sequence
@@ -14,7 +12,7 @@ import numpy as np
 
 from otc_dist.datasets.behaviour import BehaviourPolicy, load_card, load_policy
 from otc_dist.datasets.source import Behaviour, Uniform
-from otc_dist.envs import registry, smax_adapter
+from otc_dist.envs import registry
 from otc_dist.envs.skirmish import SKIRMISHES
 from otc_dist.transitions import Float32
 
@@ -22,15 +20,15 @@ TRANSITIONS = 234_224  # of the medium policy's first 10,000 episodes
 
 
 class SkirmishSource:
-    """The `Source` of the skirmish, and of SMAX."""
+    """The `Source` of the skirmish."""
 
     packages: tuple[str, ...] = ()
 
     def offers(self, env_id: str) -> bool:
-        return env_id in SKIRMISHES or smax_adapter.knows(env_id)
+        return env_id in SKIRMISHES
 
     def levels(self, env_id: str) -> tuple[str, ...]:
-        return ("random", "medium") if env_id in SKIRMISHES else ("random",)
+        return ("random", "medium")
 
     def usual_size(self, env_id: str, level: str) -> int:
         return TRANSITIONS
@@ -49,7 +47,7 @@ class SkirmishSource:
 
     def recipe(self, env_id: str, level: str) -> dict[str, str]:
         if level == "random":
-            return {} if env_id in SKIRMISHES else smax_adapter.versions()
+            return {}
         return {"policy medium": load_card(env_id).medium.sha256}
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from otc_dist.envs import cooperative_navigation, navigation, predator_prey
 from otc_dist.envs.base import BatchedEnv
+from otc_dist.envs.family import Family, RandomData
 from otc_dist.spec import Task, TeamSpec
 from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32, Float64
@@ -97,3 +98,15 @@ def task(env_id: str) -> Task:
         return navigation.NavigationTask()
     task, agents = _numbered(env_id)
     return task.task(agents)
+
+
+FAMILY = Family(
+    knows,
+    team_spec,
+    make,
+    usual=USUAL,
+    task=task,
+    changes=changes,
+    states_of=states_of,
+    random_data=RandomData(1_000_000),  # as in the paper
+)

@@ -26,6 +26,7 @@ from otc_dist.description import user_code
 from otc_dist.envs import own_sources
 from otc_dist.envs import pettingzoo_checks as checks
 from otc_dist.envs.base import Outcome, at_least_one
+from otc_dist.envs.family import FOREIGN_TRANSITIONS, Family, RandomData
 from otc_dist.envs.pettingzoo_admission import Admitted, admitted, inner
 from otc_dist.names import is_code
 from otc_dist.spec import TeamSpec
@@ -274,3 +275,15 @@ class PettingZooEnv:
         """Close the copies."""
         for env in self._envs:
             _close(self.spec.env_id, env)
+
+
+FAMILY = Family(
+    knows,
+    team_spec,
+    lambda env_id, copies, progress: PettingZooEnv(env_id, copies),
+    time_limit=time_limit,
+    remarks=remarks,
+    shares_reward=False,
+    sources=sources,
+    random_data=RandomData(FOREIGN_TRANSITIONS, versions),
+)

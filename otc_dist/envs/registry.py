@@ -1,123 +1,38 @@
 """Environments by name. A new family of tasks is one more line in `_FAMILIES`."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 from otc_dist.envs import (
     particle_family,
     pettingzoo_adapter,
-    robot_specs,
-    robot_task,
+    robot_family,
     skirmish,
     smac_adapter,
     smax_adapter,
 )
 from otc_dist.envs.base import BatchedEnv
+from otc_dist.envs.family import Family, RandomData
 from otc_dist.spec import Task, TeamSpec
 from otc_dist.terminal.errors import unknown
 from otc_dist.transitions import Float32, Float64
 
-
-@dataclass(frozen=True)
-class _Family:
-    """Environments that share an implementation; its simulator is imported only by `make`."""
-
-    usual: tuple[str, ...]  # ids to list; there may be more
-    knows: Callable[[str], bool]
-    team_spec: Callable[[str], TeamSpec]
-    make: Callable[[str, int, float | None], BatchedEnv]
-    reference_returns: Callable[[str], tuple[float, float]] | None = None  # random, expert team
-    task: Callable[[str], Task] | None = None
-    changes: Callable[[str], bool] | None = None  # in the course of the deployments; None: never
-    shares_reward: bool = True  # whether all agents get the same one, whatever happens
-    # Simulator states from what agents observe, None of a task that does not show them.
-    states_of: Callable[[str, Float32], Float64 | None] | None = None
-    # After how many steps episodes are truncated; None: after the team's `max_episode_steps`.
-    time_limit: Callable[[str], int] | None = None
-    # In words, what a user should know of how the environment is driven.
-    remarks: Callable[[str], tuple[str, ...]] | None = None
-    sources: Callable[[str], dict[str, str]] | None = None  # None: all are this package's
-    most_copies: int | None = None  # of those that nobody asked for; None: they cost little
-
-
-def _make_robot(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
-    from otc_dist.envs.robots import RobotEnv
-
-    del progress  # robots stay as they are
-    return RobotEnv(env_id, copies)
-
-
-def _make_smac(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
-    del progress
-    return smac_adapter.SmacEnv(env_id, copies)
-
-
-def _make_smax(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
-    del progress
-    return smax_adapter.SmaxEnv(env_id, copies)
-
-
-def _make_pettingzoo(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
-    del progress
-    return pettingzoo_adapter.PettingZooEnv(env_id, copies)
-
-
-def _make_skirmish(env_id: str, copies: int, progress: float | None) -> BatchedEnv:
-    del progress  # battles stay as they are
-    return skirmish.SkirmishEnv(env_id, copies)
-
-
 _FAMILIES = (
-    _Family(
-        tuple(robot_specs.PARTITIONS),
-        robot_specs.PARTITIONS.__contains__,
-        robot_specs.team_spec,
-        _make_robot,
-        robot_specs.reference_returns,
-        robot_task.task,
-        states_of=robot_specs.states_of,
-    ),
-    _Family(
-        particle_family.USUAL,
-        particle_family.knows,
-        particle_family.team_spec,
-        particle_family.make,
-        task=particle_family.task,
-        changes=particle_family.changes,
-        states_of=particle_family.states_of,
-    ),
-    _Family(
-        tuple(skirmish.SKIRMISHES),
-        skirmish.SKIRMISHES.__contains__,
-        skirmish.team_spec,
-        _make_skirmish,
-    ),
-    _Family(
-        (),
-        smac_adapter.knows,
-        smac_adapter.team_spec,
-        _make_smac,
-        most_copies=smac_adapter.MOST_COPIES,
-    ),
-    _Family((), smax_adapter.knows, smax_adapter.team_spec, _make_smax),
-    _Family(
-        (),
-        pettingzoo_adapter.knows,
-        pettingzoo_adapter.team_spec,
-        _make_pettingzoo,
-        time_limit=pettingzoo_adapter.time_limit,
-        remarks=pettingzoo_adapter.remarks,
-        shares_reward=False,
-        sources=pettingzoo_adapter.sources,
-    ),
+    robot_family.FAMILY,
+    particle_family.FAMILY,
+    skirmish.FAMILY,
+    smac_adapter.FAMILY,
+    smax_adapter.FAMILY,
+    pettingzoo_adapter.FAMILY,
 )
 
 
-def _family(env_id: str) -> _Family:
-    for family in _FAMILIES:
-        if family.knows(env_id):
-            return family
-    raise unknown("environment", env_id, env_ids())
+def _found(env_id: str) -> Family | None:
+    return next((family for family in _FAMILIES if family.knows(env_id)), None)
+
+
+def _family(env_id: str) -> Family:
+    family = _found(env_id)
+    if family is None:
+        raise unknown("environment", env_id, env_ids())
+    return family
 
 
 def env_ids() -> tuple[str, ...]:
@@ -127,7 +42,7 @@ def env_ids() -> tuple[str, ...]:
 
 def known(env_id: str) -> bool:
     """Whether there is such an environment."""
-    return any(family.knows(env_id) for family in _FAMILIES)
+    return _found(env_id) is not None
 
 
 def team_spec(env_id: str) -> TeamSpec:
@@ -163,9 +78,15 @@ def affordable(env_id: str, copies: int) -> int:
 
     Of an environment that is not known here, all of them: its logs may be looked at.
     """
-    limits = (family.most_copies for family in _FAMILIES if family.knows(env_id))
-    most = next(limits, None)
+    family = _found(env_id)
+    most = family.most_copies if family else None
     return copies if most is None else min(copies, most)
+
+
+def random_data(env_id: str) -> RandomData | None:
+    """What random data are made of it; None where it has a source of its own, or is not known."""
+    family = _found(env_id)
+    return family.random_data if family else None
 
 
 def task(env_id: str) -> Task | None:

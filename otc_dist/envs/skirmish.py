@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.envs.discrete_actions import chosen
+from otc_dist.envs.family import Family
 from otc_dist.envs.skirmish_rules import (
     EAST,
     FIRST_ATTACK,
@@ -177,3 +178,11 @@ class SkirmishEnv:
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+FAMILY = Family(
+    SKIRMISHES.__contains__,
+    team_spec,
+    lambda env_id, copies, progress: SkirmishEnv(env_id, copies),
+    usual=tuple(SKIRMISHES),
+)

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.envs.discrete_actions import chosen
+from otc_dist.envs.family import FOREIGN_TRANSITIONS, Family, RandomData
 from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.terminal.errors import UserError, unknown
 from otc_dist.transitions import Bool, Float32, Float64
@@ -202,3 +203,12 @@ def _launched(env_id: str, seed: int) -> Any:
     except (OSError, ValueError, launch_error) as error:
         raise UserError(f"StarCraft II cannot be started ({error}): {_GAME}") from None
     return game
+
+
+FAMILY = Family(
+    knows,
+    team_spec,
+    lambda env_id, copies, progress: SmacEnv(env_id, copies),
+    most_copies=MOST_COPIES,
+    random_data=RandomData(FOREIGN_TRANSITIONS, lambda env_id: versions()),
+)

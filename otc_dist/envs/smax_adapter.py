@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from otc_dist.envs.base import Outcome, at_least_one
 from otc_dist.envs.discrete_actions import chosen
+from otc_dist.envs.family import Family, RandomData
 from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.system.extras import install
 from otc_dist.terminal.errors import UserError, unknown
@@ -193,3 +194,11 @@ class SmaxEnv:
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+FAMILY = Family(
+    knows,
+    team_spec,
+    lambda env_id, copies, progress: SmaxEnv(env_id, copies),
+    random_data=RandomData(234_224, lambda env_id: versions(), policy="random"),
+)

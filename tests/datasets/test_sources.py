@@ -100,6 +100,9 @@ class Corridor:
 
 
 class CorridorSource(RandomSource):
+    def policies(self, env_id: str, level: str) -> tuple[str, ...]:
+        return ("uniform",)
+
     def behaviour(self, env_id: str, policy: str) -> Uniform:
         return Uniform(Corridor.spec)
 

@@ -1,6 +1,7 @@
 """A run's report says what its files say, and says what it does not know."""
 
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -272,8 +273,11 @@ def test_improvement(value: float, before: float, expected: float | None) -> Non
 
 
 def test_spread() -> None:
-    assert Spread.of([1.0, 3.0]) == Spread(2.0, 1.0, 1.0, 3.0, 2)
-    assert Spread.of([]) is None
+    found = Spread.of([1.0, 3.0])
+    assert found == Spread(2.0, 2**0.5, 2.0, 1.0, 3.0, 2) and str(found) == "2.0 ± 1.4"
+    assert Spread.of([5.0]).band == (5.0, 5.0) and str(Spread.of([5.0])) == "5.0"
+    for nothing in ([], [1.0, math.inf]):
+        assert math.isnan(Spread.of(nothing).mean) and math.isnan(Spread.of(nothing).std)
 
 
 def test_a_line_that_was_written_behind_a_torn_one_is_read(made) -> None:
