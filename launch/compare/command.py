@@ -19,7 +19,7 @@ from otc_dist.terminal.printable import say
 from ..plan import descriptions
 from ..run.resolve import resolve
 from ..supervise.jobs import FailedError, Job, StoppedError, cores, run_jobs
-from . import job_graph
+from . import cluster, job_graph
 
 SEEDS = "0..9"
 _SHOWN = ("tables", "picture")  # what goes together
@@ -58,8 +58,12 @@ def main(argv: list[str]) -> int:
     _check(base, arms, quick)
     name = f"compare-{base.name}{'-quick' if quick else ''}"
     folder = ComparisonFolder((arguments.out or Path("runs") / name).resolve())
+    queue = cluster.options(arguments)
+    if arguments.status:
+        cluster.show(job_graph.comparison(folder, base, arms, seeds))
+        return 0
     with job_graph.opened(folder, base):
-        return _compare(folder, base, arms, seeds, quick, arguments.results)
+        return _compare(folder, base, arms, seeds, quick, arguments.results, queue)
 
 
 def _show(arguments: argparse.Namespace) -> int:
@@ -97,12 +101,18 @@ def _compare(
     seeds: Sequence[int],
     quick: bool,
     results: Path | None,
+    queue: tuple[str, ...] | None,
 ) -> int:
+    """Do the jobs: on this machine, or, where `queue` has options for it, in SLURM's queue."""
     if results is not None:  # a mistake shows before anything runs
         collected.keep(folder, (), (), results)
     jobs = job_graph.comparison(folder, base, arms, seeds)
     left = sum(not job.done for job in jobs)
     say(f"{folder.root}: {len(jobs)} jobs, {left} of them to do")
+    if queue is not None:
+        status = cluster.submit(jobs, queue) if left else 0
+        _conclude(folder, base, arms, seeds, quick, results)
+        return status
     complete = len(_complete(folder, arms, seeds))
 
     def finished(job: Job) -> None:
@@ -213,4 +223,5 @@ def command_line() -> Parser:
         help="with --tables: draw what is recommended after each deployment",
     )
     parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
+    cluster.add_flags(parser)
     return parser

@@ -14,7 +14,7 @@ from otc_dist.terminal.parser import Parser
 from ..plan import descriptions
 from ..run.resolve import resolve
 from ..supervise.jobs import FailedError, StoppedError, cores, run_jobs
-from . import job_graph
+from . import cluster, job_graph
 
 _EXPLANATION = """\
 Deploys the offline policies once and asks, of the transitions that each distance selects at
@@ -57,9 +57,15 @@ def main(argv: list[str]) -> int:
         raise UserError(f"the mechanism check is about other agents, and {base.env.id} has none")
     name = analysed.digest()
     jobs = job_graph.mechanism(folder, base, seeds, name, arguments.set)
+    queue = cluster.options(arguments)
+    if arguments.status:
+        cluster.show(jobs)
+        return 0
     # A comparison may be at work in the folder: it is ours only if something must be trained.
     trained = all(job.done for job in jobs[: -len(seeds)])
     with nullcontext() if trained else job_graph.opened(folder, base):
+        if queue is not None and not all(job.done for job in jobs):
+            return cluster.submit(jobs, queue)
         try:
             run_jobs(jobs, cores(), lambda job: None, base.bus.answer_deadline)
         except FailedError as failed:
@@ -96,5 +102,6 @@ def command_line() -> Parser:
         help="change one value, like sampling.alpha=2",
     )
     parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
+    cluster.add_flags(parser)
     user_code.add_flag(parser)
     return parser
