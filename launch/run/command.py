@@ -18,7 +18,7 @@ from otc_dist.terminal.printable import say
 
 from ..plan import descriptions, new_folder, plan, preflight, run_record
 from ..plan.placement import Placement
-from . import hosts
+from . import allocation, hosts
 from .extend import extend
 from .origin import Origin
 from .resolve import resolve
@@ -64,6 +64,10 @@ _TOGETHER = {
         "--hosts says what each host does",
         ("description", "arm", "set", "seed", "quick", "insecure", "ssh"),
     ),
+    "on": (
+        "--on slurm starts every part of the run",
+        ("description", "arm", "set", "seed", "quick", "insecure"),
+    ),
 }
 
 
@@ -90,6 +94,8 @@ def _start(arguments: argparse.Namespace) -> int:
         raise UserError("--from is for a run whose processes are all on one machine")
     if arguments.hosts is not None:
         return _on_hosts(arguments, team, bool(chosen.bus.router))
+    if arguments.on is not None:
+        return _on_allocation(arguments, team, chosen)
     placement = Placement.of(arguments, chosen, team)
     origin = Origin.of(arguments.origin, chosen) if arguments.origin else None
     if origin:
@@ -137,7 +143,19 @@ def _on_hosts(arguments: argparse.Namespace, team: TeamSpec, router: bool) -> in
     if not arguments.ssh:
         hosts.show(file, every, arguments.insecure)
         return 0
-    return hosts.run(every, Path("runs") / f"{arguments.hosts.stem}-output")
+    return hosts.run(every, Path("runs") / f"{arguments.hosts.stem}-output", hosts.by_ssh)
+
+
+def _on_allocation(arguments: argparse.Namespace, team: TeamSpec, chosen: Description) -> int:
+    named = f"{chosen.name}{'-quick' if arguments.quick else ''}-seed{chosen.seed}"
+    found = allocation.hosts(team, Path("runs") / f"{named}-certs")
+    if arguments.insecure:
+        print(INSECURE, file=sys.stderr)
+    else:
+        allocation.make_certificates(found)
+    words, router = hosts.run_words(arguments), bool(chosen.bus.router)
+    every = list(hosts.parts(found, words, arguments.insecure, router))
+    return hosts.run(every, Path("runs") / f"{named}-output", allocation.started)
 
 
 def _resume(arguments: argparse.Namespace) -> int:
@@ -208,6 +226,11 @@ def command_line() -> Parser:
         help="print the command of each host in this TOML file",
     )
     apart.add_argument("--ssh", action="store_true", help="with --hosts: run them there")
+    apart.add_argument(
+        "--on",
+        choices=["slurm"],
+        help="start every part on a node of the SLURM allocation in which this is called",
+    )
     user_code.add_flag(parser)
     parser.add_argument("--list", action="store_true", help="list the shipped descriptions")
     return parser

@@ -13,7 +13,7 @@ import re
 import shlex
 import sys
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
@@ -144,17 +144,25 @@ def show(hosts: Hosts, every: Sequence[Part], insecure: bool) -> None:
         print(f"on {part.machine}:\n  {part.command}")
 
 
-def run(every: Sequence[Part], logs: Path) -> int:
+def by_ssh(part: Part) -> Sequence[str]:
+    """The command that runs a part's on its host, and ends with it."""
+    return (*_SSH, part.machine, part.command)
+
+
+def run(every: Sequence[Part], logs: Path, started: Callable[[Part], Sequence[str]]) -> int:
     """Run the commands on their hosts, and end all when one fails. Returns the exit status.
 
     What the env host's launcher prints is shown; what the learners' print goes to `logs`.
+
+    Args:
+        started: the command that starts a part where it belongs.
     """
     print(f"the learners' output is in {logs}", flush=True)
     with Signals() as signals, Supervisor(signals) as supervisor:
         for part in every:
             output = None if part.name == HOST else logs / f"{part.name}.log"
             seen = output is None and sys.stdout.isatty()
-            command = (*_SSH, part.machine, part.command)
+            command = started(part)
             supervisor.start(part.name, command if seen else (*_PLAIN, *command), output)
         while supervisor.running and not signals.stop:
             signals.wait(0.5)

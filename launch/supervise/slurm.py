@@ -65,6 +65,11 @@ def queue() -> dict[Path, Queued]:
     return found
 
 
+def nodes() -> list[str]:
+    """The nodes of the allocation that this process is in. UserError if SLURM does not say."""
+    return _ask(["scontrol", "show", "hostnames"]).split()
+
+
 def submit(jobs: Sequence[Job], wanted: Sequence[str]) -> tuple[int, str]:
     """Submit the jobs that are neither done nor in the queue.
 

@@ -1,4 +1,4 @@
-"""`--hosts FILE --ssh` with OpenSSH on both sides, over TLS, by the env host or by a router."""
+"""A run's parts started elsewhere: by OpenSSH, over TLS or a router, and by a real SLURM."""
 
 import json
 import os
@@ -19,6 +19,7 @@ from tests.bus.conftest import free_port
 
 from .conftest import AGENTS, Hold, Launcher, processes_of, same, wait_for_end
 from .secure_shell import hosts_by_ssh
+from .slurm_node import cluster
 
 pytestmark = pytest.mark.slow
 
@@ -106,3 +107,28 @@ def test_a_run_by_ssh_is_stopped_and_gone_on_with_and_ends_the_same(
     said += [(tmp_path / "runs" / "hosts-output" / f"{agent}.log").read_text() for agent in AGENTS]
     assert not any("\x1b" in text for text in said)  # lines: no table is drawn into a file
     same(RunFolder(host), finished[0], [RunFolder(folder) for folder in learners])
+
+
+def test_a_run_across_a_slurm_allocation_ends_the_same(
+    finished: tuple[RunFolder, Launcher],
+    tmp_path: Path,
+    tiny_flags: tuple[str, ...],
+) -> None:
+    (folder := tmp_path / "there").mkdir()
+    command = [sys.executable, "-m", "otc_dist.launch", "3agent_hopper", *tiny_flags]
+    alone = subprocess.run([*command, "--on", "slurm"], cwd=folder, capture_output=True, text=True)
+    assert alone.returncode == 2 and "begin with salloc" in alone.stderr
+    with cluster(tmp_path) as environment:
+        done = subprocess.run(
+            ["srun", "--quiet", "--overcommit", *command, "--on", "slurm"],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+    assert done.returncode == 0, done.stdout + done.stderr
+    runs = [RunFolder(folder / "runs" / f"{RUN}-{part}") for part in ("host", *AGENTS)]
+    same(runs[0], finished[0], runs[1:])
+    key = folder / "runs" / f"{RUN}-certs" / "agent_0" / "key.pem"
+    assert key.stat().st_mode & 0o077 == 0
