@@ -48,7 +48,6 @@ BATCH, OFFLINE_UPDATES, TUNING_UPDATES = 16, 8, 3
 EACH = pytest.mark.parametrize("name", SECTIONS)
 IN_BOTH_PRECISIONS = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 DISCRETE = [name for name, section in SECTIONS.items() if section.discrete]
-WITHOUT_Q = [name for name, section in SECTIONS.items() if not section.has_q]
 
 
 class FirstEntry:
