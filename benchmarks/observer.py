@@ -32,7 +32,7 @@ from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from lockstep import Step, ours
+from lockstep_transports import Step, ours
 
 from otc_dist.bus.endpoints import Endpoint, local_endpoint, remove_local_endpoint
 from otc_dist.bus.links import QUICK_PAYLOAD

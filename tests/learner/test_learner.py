@@ -1,26 +1,16 @@
 """The brain: the same bytes whatever happens on the way, from its own data alone."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from otc_dist.algorithms.bcq import Bcq
-from otc_dist.datasets import store
-from otc_dist.datasets.names import DatasetName
-from otc_dist.datasets.writing import Provenance, locked, publish
-from otc_dist.description import EmbeddingSection
 from otc_dist.description.distances import DISTANCES
-from otc_dist.envs import registry
 from otc_dist.learner import checkpoint
 from otc_dist.learner.learner import Learner, Progress
-from otc_dist.spec import AgentSpec
 from otc_dist.terminal.errors import UserError
-from otc_dist.transitions import Transitions
 
 from ..brains import (
     ARMS,
@@ -34,9 +24,6 @@ from ..brains import (
     transitions,
     unsaved,
 )
-
-OBSERVATIONS = transitions(7, 3).observations
-
 
 pytestmark = pytest.mark.usefixtures("small_blocks")
 EACH_ARM = pytest.mark.parametrize("arm", ARMS)
@@ -146,86 +133,6 @@ def test_minibatch_key_leaves_the_noise_alone() -> None:
         learner.tune(1, transitions(3, 1), silent)
         digests.add(learner.policy_digest())
     assert len(digests) == 1
-
-
-def test_acting_is_a_pure_function() -> None:
-    learner = pretrained(*ARMS["uniform"])
-    digest = learner.policy_digest()
-    first = learner.act(OBSERVATIONS, "deployment", 1, 5)
-    others = [
-        learner.act(OBSERVATIONS, "deployment", 1, 6),
-        learner.act(OBSERVATIONS, "deployment", 2, 5),
-        learner.act(OBSERVATIONS, "evaluation", 1, 5),
-    ]
-    again = learner.act(OBSERVATIONS.copy(), "deployment", 1, 5)
-    assert first.tobytes() == again.tobytes()
-    assert first.shape == (3, 2) and first.dtype == np.float32
-    assert learner.policy_digest() == digest
-    for other in others:
-        assert not np.array_equal(first, other)
-
-
-def test_acting_does_not_disturb_tuning(tmp_path: Path) -> None:
-    quiet, busy = pretrained(*ARMS["otc-value"]), pretrained(*ARMS["otc-value"])
-    for step in range(3):
-        busy.act(OBSERVATIONS, "deployment", 1, step)
-    assert finished(quiet, tmp_path / "quiet") == finished(busy, tmp_path / "busy")
-
-
-def test_agents_of_one_seed_draw_different_numbers() -> None:
-    first = pretrained(*ARMS["uniform"])
-    second = pretrained(*ARMS["uniform"], spec=replace(SPEC, name="agent_1"))
-    assert first.policy_digest() != second.policy_digest()
-
-
-def test_actions_are_scaled_to_asymmetric_bounds() -> None:
-    """Behaviour that always does the same is imitated, in the environment's units."""
-    data = transitions(0, 200)
-    data.actions[:] = (0.22, -0.6)
-    fast = ("algorithm.vae_learning_rate=0.01", "offline.updates=300", "algorithm.perturbation=0")
-    learner = pretrained(*ARMS["uniform"], *fast, data=data)
-    actions = learner.act(OBSERVATIONS, "deployment", 1, 0)
-    error = np.abs(actions - [0.22, -0.6]) / (0.2, 2.0)  # of half the range
-    assert error.max() < 0.1
-
-
-@pytest.mark.parametrize("extreme", [-1.0, 1.0])
-def test_actions_never_leave_the_bounds(extreme: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not by rounding either: in float32 the scaled 1 lies above 0.7, the scaled -1 below -0.7."""
-    spec = replace(SPEC, action_low=(-0.1, -0.7), action_high=(0.7, 0.1))
-    learner = brain(*ARMS["uniform"], spec=spec)
-    monkeypatch.setattr(Bcq, "act", lambda *_: torch.full((3, 2), extreme))
-    actions = learner.act(OBSERVATIONS, "deployment", 1, 0)
-    expected = np.array(spec.action_low if extreme < 0 else spec.action_high, np.float32)
-    assert (actions >= np.float32(spec.action_low)).all()
-    assert (actions <= np.float32(spec.action_high)).all()
-    np.testing.assert_allclose(actions, np.broadcast_to(expected, (3, 2)), rtol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["observations", "actions", "rewards", "next_observations"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_data_that_are_not_finite_are_refused(name: str, value: float) -> None:
-    bad = transitions(0, 200)
-    getattr(bad, name)[(17, *[0] * (getattr(bad, name).ndim - 1))] = value
-    with pytest.raises(ValueError, match="not finite"):
-        brain(data=bad)
-    learner = pretrained(*ARMS["uniform"])
-    before = learner.policy_digest()
-    with pytest.raises(ValueError, match="not finite"):
-        learner.tune(1, bad[:40], silent)
-    assert (learner.tuned, learner.policy_digest()) == (0, before)
-    learner.tune(1, online(1), silent)  # nothing of it was merged: there is room
-
-
-def test_nobody_learns_from_a_step_that_did_not_happen() -> None:
-    data, (first, second) = online(1), (pretrained(), pretrained())
-    broken = np.isin(np.arange(len(data)), (0, 7, 8))
-    both = {"terminated": data.terminated | broken, "truncated": data.truncated | broken}
-    first.tune(1, replace(data, rewards=np.where(broken, 1e6, data.rewards), **both), silent)
-    stands_in = np.arange(len(data))
-    stands_in[[0, 7, 8]] = 1, 6, 6
-    second.tune(1, data[stands_in], silent)
-    assert first.policy_digest() == second.policy_digest()
 
 
 def test_deployments_are_tuned_on_in_order() -> None:
@@ -340,71 +247,3 @@ def test_missing_and_damaged_checkpoints_are_one_line(tmp_path: Path) -> None:
     assert "damaged" in fail_to_load(brain(), tmp_path / "empty")
     (tmp_path / "text").write_text("hello\n" * 100)
     assert "damaged" in fail_to_load(brain(), tmp_path / "text")
-
-
-def rewritten(folder: Path, level: str, change: Callable[[int, Transitions], Transitions]) -> str:
-    """The name of a copy of a small random data set in which each agent's data are `change`d."""
-    store.ensure("hopper-3x1/random", 400)
-    joint = store.load_joint("hopper-3x1/random", 400)
-    agents = [change(i, joint.of_agent(i)) for i in range(3)]
-    changed = replace(
-        joint,
-        actions=tuple(agent.actions for agent in agents),
-        rewards=tuple(agent.rewards for agent in agents),
-    )
-    name = DatasetName("hopper-3x1", level)
-    with locked(name):
-        publish(name, changed, Provenance("a test", {}, {}, np.zeros(1), 0))
-    return str(name.folder.relative_to(name.folder.parents[1]))
-
-
-def test_offline_policy_depends_on_the_agents_own_data_alone(tmp_path: Path) -> None:
-    """Through the files: agent_2's data differ, agent_0's policy is the same to the bit."""
-
-    def disturb(index: int, data: Transitions) -> Transitions:
-        if index != 2:
-            return data
-        return replace(data, actions=-0.5 * data.actions, rewards=data.rewards + 1)
-
-    names = [
-        rewritten(tmp_path, "asis", lambda index, data: data),
-        rewritten(tmp_path, "disturbed", disturb),
-    ]
-    team = registry.team_spec("hopper-3x1")
-    digests: list[dict[str, str]] = []
-    for name in names:
-        digests.append({})
-        for spec in team.agents:
-            data = store.load_agent(store.agent_file(name, spec.name, 400), spec.name)
-            digests[-1][spec.name] = pretrained(
-                *ARMS["otc-embedding"], spec=spec, data=data
-            ).policy_digest()
-    asis, disturbed = digests
-    assert disturbed["agent_0"] == asis["agent_0"]
-    assert disturbed["agent_1"] == asis["agent_1"]
-    assert disturbed["agent_2"] != asis["agent_2"]
-
-
-def test_data_of_another_size_are_refused() -> None:
-    narrow = AgentSpec("agent_0", 5, (-1.0,), (1.0,))
-    with pytest.raises(ValueError):
-        brain(data=transitions(0, 200, narrow))
-    shallow = AgentSpec("agent_0", 1, SPEC.action_low, SPEC.action_high)
-    with pytest.raises(ValueError, match="sizes"):  # numpy would stretch it
-        brain(data=transitions(0, 200, shallow))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("env", ["hopper-3x1", "walker2d-2x3"])
-def test_embedding_of_real_data_keeps_more_than_three_dimensions(env: str) -> None:
-    """With the shipped weight of KL; a third of the shipped updates, few transitions."""
-    name = f"{env}/medium-replay"
-    store.ensure(name, 20_000)
-    spec = registry.team_spec(env).agents[0]
-    data = store.load_agent(store.agent_file(name, spec.name, 20_000), spec.name)
-    small = describe(*ARMS["otc-embedding"], "offline.updates=0")
-    usual = small.model_copy(update={"embedding": EmbeddingSection(updates=3000)})
-    reports: list[Progress] = []
-    Learner(usual, spec, data).pretrain(reports.append, unsaved)
-    assert reports[-1].metrics["active_dimensions"] > 3
-    assert reports[-1].metrics["embedding_loss"] < 0.1  # and it reconstructs actions

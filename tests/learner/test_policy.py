@@ -21,7 +21,7 @@ from otc_dist.learner.learner import Learner
 from otc_dist.run.folder import RunFolder
 from otc_dist.transitions import Float32
 
-from ..algorithms.test_conformance import SECTIONS, pretrained
+from ..algorithms.every import SECTIONS, pretrained
 
 EACH = pytest.mark.parametrize("name", SECTIONS)
 

@@ -18,11 +18,11 @@ from otc_dist.learner.trainer import Phase
 from otc_dist.otc.distances.embedding import Embedder
 from otc_dist.steps.noise import to_tensors
 
-from ..algorithms import test_conformance as conformance
-from ..brains import ARMS
+from ..algorithms import every
+from ..brains import ARMS, silent
 
 CPU, GPU = torch.device("cpu"), torch.device("meta")
-HAS_Q = {name: section.has_q for name, section in conformance.SECTIONS.items()}
+HAS_Q = {name: section.has_q for name, section in every.SECTIONS.items()}
 PAIRS = {(name, "otc-value" if has_q else "otc-embedding") for name, has_q in HAS_Q.items()}
 PAIRS |= {("bcq", arm) for arm in ARMS}
 
@@ -54,8 +54,8 @@ def record(update: Callable[[], tuple[Mapping[str, Tensor], Tensor]]) -> Mapping
 
 
 def tuned(name: str, *assignments: str) -> Learner:
-    learner = conformance.pretrained(name, *assignments)
-    learner.tune(1, conformance.online(name, 1), conformance.silent)
+    learner = every.pretrained(name, *assignments)
+    learner.tune(1, every.online(name, 1), silent)
     return learner
 
 
@@ -63,7 +63,7 @@ def tuned(name: str, *assignments: str) -> Learner:
 def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
     learner = tuned(name, *ARMS[arm])
     trainer, experience = learner._online, learner._experience
-    specs = learner._algorithm.noise_spec(conformance.BATCH)
+    specs = learner._algorithm.noise_spec(every.BATCH)
     sample_block = trainer._sampling(specs, experience.extent, Phase("tuning", 1, 0), "")
     arrays = to_tensors(sample_block(0, 1), CPU)
     sampled = on_gpu({key: array[0] for key, array in arrays.items()})
@@ -75,12 +75,12 @@ def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
 
 
 def test_an_update_of_the_embedding_stays_on_the_gpu() -> None:
-    learner, trial = tuned("bcq", *ARMS["otc-embedding"]), conformance.Trial("bcq")
+    learner, trial = tuned("bcq", *ARMS["otc-embedding"]), every.Trial("bcq")
     embedder = learner._fits.own
     assert isinstance(embedder, Embedder) and embedder.state
     embedding = embedder._embedding
     state, batch = on_gpu(embedder.state), on_gpu(trial.batch)
-    sampled = on_gpu(trial.noise(embedding.noise_spec(conformance.BATCH)))
+    sampled = on_gpu(trial.noise(embedding.noise_spec(every.BATCH)))
     record(lambda: embedding.update(state, batch, sampled))
 
 
