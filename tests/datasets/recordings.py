@@ -6,9 +6,12 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from otc_dist.datasets.importers import import_file
 from otc_dist.envs.robots import RobotEnv
+from otc_dist.terminal.errors import UserError
 
 
 @dataclass
@@ -72,3 +75,10 @@ def write_d4rl(path: Path, played: Played, *, leave_out: str = "", **replaced: A
             if name not in leave_out.split():
                 file.create_dataset(name, data=array)
     return path
+
+
+def refusal(source: Path, level: str = "mine", env_id: str = "") -> str:
+    with pytest.raises(UserError) as caught:
+        import_file(source, level, env_id)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)

@@ -1,53 +1,22 @@
-"""Recordings of others become agents' files whose successors are the true ones."""
+"""Recordings in D4RL's layout become agents' files whose successors are the true ones."""
 
 import sys
 from pathlib import Path
 from typing import Any
 
-import gymnasium
-import minari
 import numpy as np
 import pytest
-from minari.data_collector import EpisodeBuffer
 
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_file, import_files
 from otc_dist.system.extras import install
 from otc_dist.terminal.errors import UserError
 
-from .recordings import Played, play, write_d4rl
+from .recordings import Played, play, refusal, write_d4rl
 
+pytestmark = pytest.mark.usefixtures("cache")
 NAME = "hopper-3x1/mine"
 NO_SUCCESSORS = "next_observations infos/qpos infos/qvel"
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
-@pytest.fixture(scope="module")
-def played() -> Played:
-    """About 20 hopper episodes, of which some fell and some were cut, and a last open one."""
-    played = play("hopper-1x3", 301)
-    assert played.terminals.any()
-    assert played.timeouts.any()
-    assert not played.terminals[-1]
-    assert not played.timeouts[-1]
-    return played
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> Path:
-    return tmp_path / "hopper_medium-v2.hdf5"
-
-
-def refusal(source: Path, level: str = "mine", env_id: str = "") -> str:
-    with pytest.raises(UserError) as caught:
-        import_file(source, level, env_id)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 def test_a_d4rl_file_with_successors_is_kept_whole(file: Path, played: Played) -> None:
@@ -243,69 +212,6 @@ def test_without_h5py_the_extra_is_named(file: Path, monkeypatch: pytest.MonkeyP
     file.touch()
     monkeypatch.setitem(sys.modules, "h5py", None)
     assert "importing needs h5py" in refusal(file) and install("import") in refusal(file)
-
-
-@pytest.fixture
-def minari_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, played: Played) -> Path:
-    """The recording as Minari itself writes it."""
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
-    buffers = []
-    for number, rows in enumerate(np.split(np.arange(301), played.ends + 1)):
-        buffers.append(
-            EpisodeBuffer(
-                id=number,
-                observations=np.vstack((played.observations[rows], played.successors[rows[-1:]])),
-                actions=played.actions[rows],
-                rewards=played.rewards[rows].tolist(),
-                terminations=played.terminals[rows].tolist(),
-                truncations=played.timeouts[rows].tolist(),
-                infos={},
-            )
-        )
-    with pytest.warns(UserWarning):
-        minari.create_dataset_from_buffers(
-            "mujoco/hopper/test-v0",
-            buffer=buffers,
-            env=gymnasium.make("Hopper-v5"),
-            algorithm_name="uniform",
-            author="a",
-            author_email="b",
-            code_permalink="c",
-            data_format="hdf5",
-        )
-    return tmp_path / "minari" / "mujoco" / "hopper" / "test-v0"
-
-
-def test_a_minari_set_is_kept_whole_with_true_successors(
-    minari_set: Path, played: Played, file: Path
-) -> None:
-    card = import_file(minari_set, "mine")
-    assert (card.name, card.transitions) == (NAME, 301)
-    assert card.returns == import_file(write_d4rl(file, played), "again").returns
-    assert (card.episodes, card.incomplete_episodes) == (
-        played.terminals.sum(),
-        played.timeouts.sum() + 1,
-    )
-    assert card.notes == ("recorded in Hopper-v5",)
-    joint = store.load_joint(NAME)
-    np.testing.assert_array_equal(joint.next_observations[2], played.successors)
-    np.testing.assert_array_equal(joint.actions[1][:, 0], played.actions[:, 1])
-    np.testing.assert_array_equal(joint.terminated, played.terminals)
-    np.testing.assert_array_equal(joint.truncated, played.timeouts)
-
-
-def test_a_minari_set_can_be_named_by_any_of_its_folders_or_its_file(minari_set: Path) -> None:
-    cards = [
-        import_file(source, "mine")
-        for source in (minari_set, minari_set / "data", minari_set / "data" / "main_data.hdf5")
-    ]
-    assert cards[0] == cards[1] == cards[2]
-    assert "no single Minari data set" in refusal(minari_set.parents[2])
-
-
-def test_a_minari_set_of_another_robot_is_refused(minari_set: Path) -> None:
-    message = refusal(minari_set, env_id="walker2d-2x3")
-    assert "episode_0: actions has shape" in message
 
 
 def test_one_agents_file_is_all_that_its_learners_host_needs(
