@@ -136,9 +136,9 @@ def ours(folder: Path) -> Iterator[Step]:
         def step(number: int) -> None:
             answers = host.ask([question(index, number) for index in AGENTS], acting=True)
             actions = tuple(a.actions for a in answers if a.actions is not None)
-            ends = (OUTCOME.terminated, OUTCOME.truncated, (False,) * 3)
-            rewards = (OUTCOME.rewards,) * 3
-            writer.write(JointStep(number, SEEN, actions, rewards, SEEN, *ends, seeds, state))
+            ends = (OUTCOME.terminated, OUTCOME.truncated)
+            rewards, rest = (OUTCOME.rewards,) * 3, ((False,) * 3, seeds, state)
+            writer.write(JointStep(SEEN, actions, rewards, SEEN, *ends, number, *rest))
 
         with _agents(_our_agent, endpoint):
             yield step

@@ -28,15 +28,16 @@ def all_finite(numbers: Float32) -> bool:
         return math.isfinite(numbers.sum(dtype=np.float64))
 
 
+@dataclass(frozen=True)
 class Joint:
     """Transitions of a whole team: tuples are indexed by agent, arrays by transition."""
 
     observations: tuple[Float32, ...]  # N x (T, observation_size)
-    actions: tuple[Float32, ...]  # N x (T, action_size)
+    actions: tuple[Float32, ...]  # N x (T, action_size), as the agents sent them
     rewards: tuple[Float32, ...]  # N x (T,)
     next_observations: tuple[Float32, ...]  # N x (T, observation_size), the true successors s'
-    terminated: Bool  # (T,)
-    truncated: Bool  # (T,)
+    terminated: Bool  # (T,) the task ended here: V(s') = 0
+    truncated: Bool  # (T,) a time limit ended the episode: V(s') is not 0
 
     def of_agent(self, index: int) -> "Transitions":
         """What agent `index` may see: its own transitions, and nothing of the others."""
@@ -54,17 +55,11 @@ class Joint:
 class JointStep(Joint):
     """One lock-step of E environment copies and N agents, as the env host sees and logs it.
 
-    Tuples are indexed by agent, arrays by environment copy. `next_observations` are the true
-    successors s', also where an episode ended and the copy was reset afterwards.
+    One transition a copy, T = E. `next_observations` are the true successors s', also where an
+    episode ended and the copy was reset afterwards.
     """
 
     step: int
-    observations: tuple[Float32, ...]  # N x (E, observation_size)
-    actions: tuple[Float32, ...]  # N x (E, action_size), as the agents sent them
-    rewards: tuple[Float32, ...]  # N x (E,)
-    next_observations: tuple[Float32, ...]  # N x (E, observation_size)
-    terminated: Bool  # (E,)  the task ended here: V(s') = 0
-    truncated: Bool  # (E,)  a time limit ended the episode: V(s') is not 0
     exploring: tuple[bool, ...]  # N: behaviour tag, True where the agent explored
     episode_seeds: NDArray[np.int64]  # (E,) seed of the episode that this step belongs to
     state: Float64  # (E, state_size) simulator state before the step

@@ -7,23 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.transitions import Bool, Float32, Joint, JointStep
+from otc_dist.transitions import Joint, JointStep
 
 
 @dataclass(frozen=True)
 class JointTransitions(Joint):
-    """T transitions of a whole team. Tuples are indexed by agent, arrays by transition.
+    """T transitions of a whole team, of several episodes.
 
     The rows of one episode stand in the order of time; rows of several episodes may interleave.
     Agents that see the same thing may share one array: nobody writes into it.
     """
 
-    observations: tuple[Float32, ...]  # N x (T, observation_size)
-    actions: tuple[Float32, ...]  # N x (T, action_size)
-    rewards: tuple[Float32, ...]  # N x (T,)
-    next_observations: tuple[Float32, ...]  # N x (T, observation_size), the true successors s'
-    terminated: Bool  # (T,)
-    truncated: Bool  # (T,)
     episodes: NDArray[np.int64]  # (T,) which episode a row belongs to
 
     def __len__(self) -> int:

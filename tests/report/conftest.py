@@ -95,16 +95,16 @@ class MadeRun:
         for step in range(steps):
             writer.write(
                 JointStep(
-                    step,
-                    (numbers,) * 2,
-                    (numbers,) * 2,
-                    (rewards if step < 8 else 0 * rewards,) * 2,
-                    (numbers,) * 2,
-                    never,
-                    never,
-                    (False, False),
-                    np.arange(copies),
-                    np.zeros((copies, 0)),
+                    step=step,
+                    observations=(numbers,) * 2,
+                    actions=(numbers,) * 2,
+                    rewards=(rewards if step < 8 else 0 * rewards,) * 2,
+                    next_observations=(numbers,) * 2,
+                    terminated=never,
+                    truncated=never,
+                    exploring=(False, False),
+                    episode_seeds=np.arange(copies),
+                    state=np.zeros((copies, 0)),
                 )
             )
         writer.finish({agent.name: f"digest {k - 1}" for agent in agents})
