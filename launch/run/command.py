@@ -10,7 +10,6 @@ from otc_dist.bus.keys import HOST
 from otc_dist.comparison import arms, meanings
 from otc_dist.description import Description, user_code
 from otc_dist.run.folder import RunFolder
-from otc_dist.spec import TeamSpec
 from otc_dist.terminal.commands import OF_LAUNCH, lines
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.parser import Parser
@@ -18,16 +17,11 @@ from otc_dist.terminal.printable import say
 
 from ..plan import descriptions, new_folder, plan, preflight, run_record
 from ..plan.placement import Placement
-from . import allocation, hosts
+from . import elsewhere, hosts, kubernetes
 from .extend import extend
 from .origin import Origin
 from .resolve import resolve
 from .run_loop import run_plan
-
-INSECURE = (
-    "WARNING: --insecure: nothing on the network is encrypted or checked; whoever reaches the"
-    " endpoint can read this run, act in it and end it"
-)
 
 
 def main(argv: list[str]) -> int:
@@ -65,8 +59,8 @@ _TOGETHER = {
         ("description", "arm", "set", "seed", "quick", "insecure", "ssh"),
     ),
     "on": (
-        "--on slurm starts every part of the run",
-        ("description", "arm", "set", "seed", "quick", "insecure"),
+        "--on starts every part of the run elsewhere",
+        ("description", "arm", "set", "seed", "quick", "insecure", "print", "image"),
     ),
 }
 
@@ -84,6 +78,9 @@ def _check(given: Mapping[str, str]) -> None:
         raise UserError("--allow is for --from: the code that a description names is run anyway")
     if "ssh" in given:
         raise UserError("--ssh needs --hosts FILE: on which hosts?")
+    for name in ("print", "image"):
+        if name in given:
+            raise UserError(f"--{name} needs --on kubernetes")
 
 
 def _start(arguments: argparse.Namespace) -> int:
@@ -92,10 +89,8 @@ def _start(arguments: argparse.Namespace) -> int:
     team = plan.team_of(chosen)
     if arguments.origin is not None and arguments.role:
         raise UserError("--from is for a run whose processes are all on one machine")
-    if arguments.hosts is not None:
-        return _on_hosts(arguments, team, bool(chosen.bus.router))
-    if arguments.on is not None:
-        return _on_allocation(arguments, team, chosen)
+    if arguments.hosts is not None or arguments.on is not None:
+        return elsewhere.start(arguments, chosen, team)
     placement = Placement.of(arguments, chosen, team)
     origin = Origin.of(arguments.origin, chosen) if arguments.origin else None
     if origin:
@@ -116,7 +111,7 @@ def _start(arguments: argparse.Namespace) -> int:
         preflight.check(planned, out)
         return 0
     if placement.insecure:
-        print(INSECURE, file=sys.stderr)
+        print(hosts.INSECURE, file=sys.stderr)
     preflight.check(planned, out)
     if preflight.goes_on(planned):
         with run_record.locked(planned.folder):
@@ -133,29 +128,6 @@ def _start(arguments: argparse.Namespace) -> int:
             new_folder.take_away(folder.root, origin=True)
             raise
         return run_plan(plan.make(description, folder, record.run, placement), record)
-
-
-def _on_hosts(arguments: argparse.Namespace, team: TeamSpec, router: bool) -> int:
-    file = hosts.Hosts.load(arguments.hosts, team)
-    every = list(hosts.parts(file, hosts.run_words(arguments), arguments.insecure, router))
-    if arguments.insecure:
-        print(INSECURE, file=sys.stderr)
-    if not arguments.ssh:
-        hosts.show(file, every, arguments.insecure)
-        return 0
-    return hosts.run(every, Path("runs") / f"{arguments.hosts.stem}-output", hosts.by_ssh)
-
-
-def _on_allocation(arguments: argparse.Namespace, team: TeamSpec, chosen: Description) -> int:
-    named = f"{chosen.name}{'-quick' if arguments.quick else ''}-seed{chosen.seed}"
-    found = allocation.hosts(team, Path("runs") / f"{named}-certs")
-    if arguments.insecure:
-        print(INSECURE, file=sys.stderr)
-    else:
-        allocation.make_certificates(found)
-    words, router = hosts.run_words(arguments), bool(chosen.bus.router)
-    every = list(hosts.parts(found, words, arguments.insecure, router))
-    return hosts.run(every, Path("runs") / f"{named}-output", allocation.started)
 
 
 def _resume(arguments: argparse.Namespace) -> int:
@@ -228,8 +200,15 @@ def command_line() -> Parser:
     apart.add_argument("--ssh", action="store_true", help="with --hosts: run them there")
     apart.add_argument(
         "--on",
-        choices=["slurm"],
-        help="start every part on a node of the SLURM allocation in which this is called",
+        choices=["slurm", "kubernetes"],
+        help="slurm: start every part on a node of the allocation in which this is called;"
+        " kubernetes, with --print: print manifests for kubectl",
+    )
+    apart.add_argument("--print", action="store_true", help="with --on kubernetes: apply nothing")
+    apart.add_argument(
+        "--image",
+        default=kubernetes.IMAGE,
+        help="with --on kubernetes: what the pods run (default: %(default)s; see Dockerfile)",
     )
     user_code.add_flag(parser)
     parser.add_argument("--list", action="store_true", help="list the shipped descriptions")

@@ -34,6 +34,10 @@ from ..supervise.supervisor import End, Supervisor
 # -tt: what runs there ends when the link does; --: no option comes after it.
 _SSH = ("ssh", "-tt", "-o", "BatchMode=yes", "--")
 _PLAIN = ("env", "TERM=dumb")  # what runs there is given a terminal, and told to write lines to it
+INSECURE = (
+    "WARNING: --insecure: nothing on the network is encrypted or checked; whoever reaches the"
+    " endpoint can read this run, act in it and end it"
+)
 _USER = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+@-]*")
 
 
