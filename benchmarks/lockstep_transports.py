@@ -30,29 +30,13 @@ from otc_dist.envs.registry import team_spec
 from otc_dist.transitions import JointStep
 
 TEAM = team_spec("hopper-3x1")
-
-
 AGENTS = range(len(TEAM.agents))
-
-
 COPIES = {"deployment": 1, "evaluation": 1, "done": 0}
-
-
 DIGEST = "0" * 16
-
-
 CODECS = [AgentCodec("bench", agent, COPIES) for agent in TEAM.agents]
-
-
 _random = np.random.default_rng(0)
-
-
 SEEN = tuple(_random.standard_normal((1, 11), dtype=np.float32) for _ in AGENTS)
-
-
 OUTCOME = StepOutcome(np.ones(1, np.float32), SEEN[0], np.zeros(1, np.bool_), np.zeros(1, np.bool_))
-
-
 WEIGHTS = [
     _random.standard_normal(shape, dtype=np.float32) / 8 for shape in ((11, 64), (64, 64), (64, 1))
 ]
@@ -85,8 +69,6 @@ def plain_actions(answers: Sequence[bytes]) -> list[np.ndarray]:
 
 
 Step = Callable[[int], object]
-
-
 Transport = Callable[[Path], AbstractContextManager[Step]]  # leaving it ends what it started
 
 

@@ -22,31 +22,17 @@ from ..brains import ONLINE, SMALL, SPEC, silent, transitions, unsaved
 from .arrays import random_batch, random_choices
 
 SECTIONS: dict[str, Any] = {name: ALGORITHMS.section(name) for name in ALGORITHMS}
-
-
 # Where the defaults would take time.
 SMALLER: dict[str, dict[str, object]] = {
     "bcq": {"acting_candidates": 7},
     "cql": {"action_samples": 3},
     "bremen": {"models": 2, "improvements": 1, "horizon": 3},
 }
-
-
 CHOICES = 4
-
-
 CHOOSING = AgentSpec("agent_0", 5 + CHOICES, (0.0,), (CHOICES - 1.0,), choices=CHOICES)
-
-
 BATCH, OFFLINE_UPDATES, TUNING_UPDATES = 16, 8, 3
-
-
 EACH = pytest.mark.parametrize("name", SECTIONS)
-
-
 IN_BOTH_PRECISIONS = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-
-
 DISCRETE = [name for name, section in SECTIONS.items() if section.discrete]
 
 

@@ -4,59 +4,26 @@ import pytest
 from otc_dist.envs import registry
 from otc_dist.envs.skirmish_rules import GRID, JITTER
 
-AGENTS, ENEMIES, UNITS = 5, 6, 11
-NO_OP, STOP, NORTH, SOUTH, EAST, WEST = range(6)
-HOME = [(9.0, 12.0 + 2 * i) for i in range(AGENTS)]
-CAMP = [(26.0, 11.0 + 2 * i) for i in range(ENEMIES)]
-
-
-def attack(enemy):
-    return 6 + enemy
-
-
-def _env(agents=HOME, enemies=CAMP, health=(), cooldown=(), elapsed=0, copies=1):
-    """Battles that stand as told, in cells; `health` and `cooldown` are of single units."""
-    env = registry.make("5m_vs_6m", copies)
-    places = np.array([*agents, *enemies]) * GRID
-    points, waiting = np.full(UNITS, 45.0), np.zeros(UNITS)
-    for unit, value in dict(health).items():
-        points[unit] = value
-    for unit, value in dict(cooldown).items():
-        waiting[unit] = value
-    state = np.concatenate([[elapsed], places[:, 0], places[:, 1], points, waiting])
-    env.set_state(np.tile(state, (copies, 1)))
-    return env
-
-
-def _step(env, *orders):
-    """One step of copy 0 .. with the same orders in every copy; agents without one stop."""
-    mask = _masks(env)
-    chosen = [*orders, *[STOP] * (AGENTS - len(orders))]
-    actions = [
-        np.where(mask[i][:, NO_OP] > 0, NO_OP, chosen[i]).astype(np.float32)[:, None]
-        for i in range(AGENTS)
-    ]
-    return env.step(actions)
-
-
-def _masks(env):
-    return [observation[:, -12:] for observation in env.observe()]
-
-
-def _health(env):
-    return env.state()[0, 1 + 2 * UNITS : 1 + 3 * UNITS]
-
-
-def _places(env):
-    return env.state()[0, 1 : 1 + 2 * UNITS].reshape(2, UNITS).T / GRID
-
-
-def _random(env, random):
-    actions = []
-    for mask in _masks(env):
-        keys = random.random(mask.shape) * (mask > 0)
-        actions.append(keys.argmax(axis=1).astype(np.float32)[:, None])
-    return actions
+from .battles import (
+    AGENTS,
+    CAMP,
+    EAST,
+    ENEMIES,
+    HOME,
+    NO_OP,
+    NORTH,
+    SOUTH,
+    STOP,
+    UNITS,
+    WEST,
+    attack,
+    battle,
+    health_of,
+    masks_of,
+    places_of,
+    play,
+    random_actions,
+)
 
 
 def test_shapes_are_those_of_smac():
@@ -81,7 +48,7 @@ def test_sides_start_around_the_maps_points_and_never_overlap():
 
 def test_what_an_agent_observes_by_hand():
     enemies = [(12.0, 16.0), (9.0, 22.0), *CAMP[2:]]
-    env = _env([(9.0, 16.0), (9.0, 12.0), *HOME[2:]], enemies, {0: 30, 1: 15, 5: 9, 2: 0})
+    env = battle([(9.0, 16.0), (9.0, 12.0), *HOME[2:]], enemies, {0: 30, 1: 15, 5: 9, 2: 0})
     seen = env.observe()[0][0]
     assert seen.shape == (67,)
     np.testing.assert_array_equal(seen[:4], [1, 1, 1, 1])  # may move anywhere
@@ -95,24 +62,24 @@ def test_what_an_agent_observes_by_hand():
 
 
 def test_an_agents_fellows_leave_itself_out():
-    env = _env(agents=[(9.0, 12.0 + i) for i in range(AGENTS)])
+    env = battle(agents=[(9.0, 12.0 + i) for i in range(AGENTS)])
     for me, seen in enumerate(env.observe()):
         above = [9 * row[3] for row in seen[0, 34:54].reshape(4, 5)]
         np.testing.assert_allclose(above, [i - me for i in range(AGENTS) if i != me], atol=1e-6)
 
 
 def test_the_dead_see_nothing_and_have_the_no_op_alone():
-    env = _env(health={3: 0})
+    env = battle(health={3: 0})
     seen = env.observe()[3][0]
     np.testing.assert_array_equal(seen[:55], 0)
     np.testing.assert_array_equal(seen[55:], [1, *[0] * 11])
-    assert all(mask[0, NO_OP] == 0 for i, mask in enumerate(_masks(env)) if i != 3)
+    assert all(mask[0, NO_OP] == 0 for i, mask in enumerate(masks_of(env)) if i != 3)
 
 
 def test_targets_are_offered_up_to_six_cells_and_while_they_live():
     near, far = (9.0 + 6.0, 12.0), (9.0 + 6.0 + 1 / GRID, 12.0)
-    env = _env(enemies=[near, far, near, *CAMP[3:]], health={AGENTS + 2: 0})
-    np.testing.assert_array_equal(_masks(env)[0][0, 6:], [1, 0, 0, 0, 0, 0])
+    env = battle(enemies=[near, far, near, *CAMP[3:]], health={AGENTS + 2: 0})
+    np.testing.assert_array_equal(masks_of(env)[0][0, 6:], [1, 0, 0, 0, 0, 0])
 
 
 @pytest.mark.parametrize(
@@ -120,16 +87,16 @@ def test_targets_are_offered_up_to_six_cells_and_while_they_live():
     [((0.9, 16), WEST), ((31.1, 16), EAST), ((9, 8.9), SOUTH), ((9, 23.1), NORTH)],
 )
 def test_the_arena_ends_where_the_maps_open_ground_does(place, closed):
-    env = _env(agents=[place, *HOME[1:]])
+    env = battle(agents=[place, *HOME[1:]])
     expected = [0 if move == closed else 1 for move in (NORTH, SOUTH, EAST, WEST)]
-    np.testing.assert_array_equal(_masks(env)[0][0, 2:6], expected)
+    np.testing.assert_array_equal(masks_of(env)[0][0, 2:6], expected)
 
 
 def test_a_move_covers_half_a_second_of_a_marines_speed():
-    env = _env()
-    before = _places(env)
-    _step(env, SOUTH, NORTH, EAST, WEST, STOP)
-    moved = (_places(env) - before)[:AGENTS]
+    env = battle()
+    before = places_of(env)
+    play(env, SOUTH, NORTH, EAST, WEST, STOP)
+    moved = (places_of(env) - before)[:AGENTS]
     length = 2.25 / 2
     np.testing.assert_array_equal(
         moved, [(0, -length), (0, length), (length, 0), (-length, 0), (0, 0)]
@@ -137,64 +104,64 @@ def test_a_move_covers_half_a_second_of_a_marines_speed():
 
 
 def test_enemies_that_see_nobody_march_on_the_agents_start():
-    env = _env(agents=[(2.0, 9.0 + i) for i in range(AGENTS)], enemies=[(30.0, 16.0)] * ENEMIES)
-    _step(env)
+    env = battle(agents=[(2.0, 9.0 + i) for i in range(AGENTS)], enemies=[(30.0, 16.0)] * ENEMIES)
+    play(env)
     # Half a second along the way to (9, 16), and not towards the agents.
-    np.testing.assert_array_equal(_places(env)[AGENTS:], [(30 - 2.25 / 2, 16)] * ENEMIES)
+    np.testing.assert_array_equal(places_of(env)[AGENTS:], [(30 - 2.25 / 2, 16)] * ENEMIES)
 
 
 def test_enemies_come_into_reach_of_the_nearest_agent_and_shoot_it():
-    env = _env(enemies=[(9.0 + 8.0, 12.0), *CAMP[1:]])
+    env = battle(enemies=[(9.0 + 8.0, 12.0), *CAMP[1:]])
     for _ in range(3):
-        _step(env)
-    gap = _places(env)[AGENTS, 0] - 9.0
+        play(env)
+    gap = places_of(env)[AGENTS, 0] - 9.0
     assert 5.75 - 2.25 / 16 < gap <= 5.75
-    assert _health(env)[0] == 45 - 6
-    assert (_health(env)[1:AGENTS] == 45).all()
+    assert health_of(env)[0] == 45 - 6
+    assert (health_of(env)[1:AGENTS] == 45).all()
 
 
 def test_shots_come_every_14_loops_of_which_a_step_has_8():
     """Shots in loops 0, 14, 28, 42, 56: in steps 0, 1, 3, 5, 7."""
-    env = _env(enemies=[(14.0, 12.0), *CAMP[1:]], health={0: 1e6})
+    env = battle(enemies=[(14.0, 12.0), *CAMP[1:]], health={0: 1e6})
     dealt = []
     for _ in range(8):
-        before = _health(env)[AGENTS]
-        outcome = _step(env, attack(0))
-        dealt.append(before - _health(env)[AGENTS])
+        before = health_of(env)[AGENTS]
+        outcome = play(env, attack(0))
+        dealt.append(before - health_of(env)[AGENTS])
         assert outcome.rewards[0][0] == pytest.approx(dealt[-1] * 20 / 530, rel=1e-6)
     assert dealt[:7] == [6, 6, 0, 6, 0, 6, 0]
     assert dealt[7] == 6
 
 
 def test_a_target_beyond_reach_is_approached_first():
-    env = _env(enemies=[(14.9, 12.0), *CAMP[1:]], cooldown={AGENTS: 100})
-    _step(env, attack(0))
-    assert _health(env)[AGENTS] == 39
-    assert 9.1 < _places(env)[0, 0] < 9.3
+    env = battle(enemies=[(14.9, 12.0), *CAMP[1:]], cooldown={AGENTS: 100})
+    play(env, attack(0))
+    assert health_of(env)[AGENTS] == 39
+    assert 9.1 < places_of(env)[0, 0] < 9.3
 
 
 def test_those_who_move_or_wait_do_not_shoot():
-    env = _env(enemies=[(14.0, 12.0), *CAMP[1:]], health={0: 1e6})
+    env = battle(enemies=[(14.0, 12.0), *CAMP[1:]], health={0: 1e6})
     for order in (STOP, NORTH, SOUTH):
-        outcome = _step(env, order)
+        outcome = play(env, order)
         assert outcome.rewards[0][0] == 0
-    assert _health(env)[AGENTS] == 45
+    assert health_of(env)[AGENTS] == 45
 
 
 def test_a_kill_pays_ten_and_what_was_left_to_hit():
-    env = _env(enemies=[(14.0, 12.0), *CAMP[1:]], health={AGENTS: 4})
-    outcome = _step(env, attack(0))
+    env = battle(enemies=[(14.0, 12.0), *CAMP[1:]], health={AGENTS: 4})
+    outcome = play(env, attack(0))
     assert outcome.rewards[0][0] == pytest.approx((4 + 10) * 20 / 530, rel=1e-6)
     assert not outcome.terminated[0]
     assert not env.success[0]
-    outcome = _step(env)
+    outcome = play(env)
     assert outcome.rewards[0][0] == 0  # paid once
 
 
 def test_the_last_kill_wins_and_pays_the_dead_too():
     dead = {AGENTS + i: 0 for i in range(1, ENEMIES)} | {4: 0}
-    env = _env(enemies=[(14.0, 12.0), *CAMP[1:]], health={AGENTS: 6, **dead})
-    outcome = _step(env, attack(0))
+    env = battle(enemies=[(14.0, 12.0), *CAMP[1:]], health={AGENTS: 6, **dead})
+    outcome = play(env, attack(0))
     assert [float(reward[0]) for reward in outcome.rewards] == pytest.approx(
         [(6 + 10 + 200) * 20 / 530] * AGENTS, rel=1e-6
     )
@@ -205,8 +172,8 @@ def test_the_last_kill_wins_and_pays_the_dead_too():
 
 def test_who_dies_with_the_last_enemy_has_not_won():
     dead = {i: 0 for i in range(UNITS) if i not in (0, AGENTS)}
-    env = _env(enemies=[(14.0, 12.0), *CAMP[1:]], health={**dead, 0: 6, AGENTS: 6})
-    outcome = _step(env, attack(0))
+    env = battle(enemies=[(14.0, 12.0), *CAMP[1:]], health={**dead, 0: 6, AGENTS: 6})
+    outcome = play(env, attack(0))
     assert outcome.terminated[0]
     assert not env.success[0]
     assert outcome.rewards[0][0] == pytest.approx((6 + 10) * 20 / 530, rel=1e-6)
@@ -214,22 +181,22 @@ def test_who_dies_with_the_last_enemy_has_not_won():
 
 def test_a_lost_battle_ends():
     dead = dict.fromkeys(range(1, AGENTS), 0)
-    env = _env(enemies=[(14.0, 12.0), *CAMP[1:]], health={**dead, 0: 6})
-    outcome = _step(env, STOP)
+    env = battle(enemies=[(14.0, 12.0), *CAMP[1:]], health={**dead, 0: 6})
+    outcome = play(env, STOP)
     assert outcome.terminated[0]
     assert not env.success[0]
     np.testing.assert_array_equal(env.observe()[0][0], [0] * 55 + [1] + [0] * 11)
 
 
 def test_a_won_battle_returns_20_however_it_was_won():
-    env = _env(health=dict.fromkeys(range(AGENTS), 1000000000.0))
+    env = battle(health=dict.fromkeys(range(AGENTS), 1000000000.0))
     total = 0.0
     for _ in range(70):
-        masks = _masks(env)
+        masks = masks_of(env)
         orders = [
             attack(int(mask[0, 6:].argmax())) if mask[0, 6:].any() else EAST for mask in masks
         ]
-        outcome = _step(env, *orders)
+        outcome = play(env, *orders)
         total += float(outcome.rewards[2][0])
         if outcome.terminated[0]:
             break
@@ -238,17 +205,17 @@ def test_a_won_battle_returns_20_however_it_was_won():
 
 
 def test_the_limit_truncates():
-    env = _env(elapsed=68)
-    assert not _step(env).truncated[0]
-    outcome = _step(env)
+    env = battle(elapsed=68)
+    assert not play(env).truncated[0]
+    outcome = play(env)
     assert outcome.truncated[0]
     assert not outcome.terminated[0]
 
 
 def test_units_that_overlap_are_pushed_apart_by_half_each_and_stay_inside():
-    env = _env(agents=[(5.0, 16.0), (5.25, 16.0), (0.4, 20.0), (0.4, 20.25), (9.0, 12.0)])
-    _step(env)
-    places = _places(env)
+    env = battle(agents=[(5.0, 16.0), (5.25, 16.0), (0.4, 20.0), (0.4, 20.25), (9.0, 12.0)])
+    play(env)
+    places = places_of(env)
     np.testing.assert_array_equal(places[:2], [(4.75, 16), (5.5, 16)])
     assert np.linalg.norm(places[2] - places[3]) == pytest.approx(0.75, abs=0.01)
     assert places[2, 0] == 0.4
@@ -262,7 +229,7 @@ def test_same_seeds_and_actions_same_bytes_at_any_number_of_copies():
     for env, seed in zip(singles, seeds, strict=True):
         env.reset(np.array([0]), np.array([seed]))
     for _ in range(40):
-        actions = _random(many, random)
+        actions = random_actions(many, random)
         ours = many.step(actions)
         for copy, env in enumerate(singles):
             theirs = env.step([action[copy : copy + 1] for action in actions])
@@ -276,11 +243,11 @@ def test_a_battle_goes_on_exactly_from_its_state():
     env, random = registry.make("5m_vs_6m", 3), np.random.default_rng(1)
     env.reset(np.arange(3), np.arange(3))
     for _ in range(12):
-        env.step(_random(env, random))
+        env.step(random_actions(env, random))
     kept = env.state()
     actions, first = [], []
     for _ in range(2):
-        actions.append(_random(env, random))
+        actions.append(random_actions(env, random))
         first.append(env.step(actions[-1]))
     end = env.state()
     other = registry.make("5m_vs_6m", 3)
@@ -312,7 +279,7 @@ def test_another_seed_is_another_battle():
     ],
 )
 def test_an_action_that_is_not_available_is_refused_before_anything_moves(action, message):
-    env = _env(copies=2)
+    env = battle(copies=2)
     before = env.state()
     actions = [np.full((2, 1), STOP, np.float32) for _ in range(AGENTS)]
     actions[1][1] = action
@@ -322,7 +289,7 @@ def test_an_action_that_is_not_available_is_refused_before_anything_moves(action
 
 
 def test_actions_of_other_shapes_are_refused():
-    env = _env()
+    env = battle()
     good = [np.full((1, 1), STOP, np.float32)] * AGENTS
     with pytest.raises(ValueError, match="4 actions for 5 agents"):
         env.step(good[:4])

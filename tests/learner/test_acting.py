@@ -19,7 +19,6 @@ from ..brains import (
 )
 
 pytestmark = pytest.mark.usefixtures("small_blocks")
-
 OBSERVATIONS = transitions(7, 3).observations
 
 
