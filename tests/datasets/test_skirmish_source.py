@@ -11,6 +11,7 @@ from otc_dist.datasets.behaviour import load_card, load_policy, snapshot_folder
 from otc_dist.datasets.behaviour_training.training import TASKS, evaluate
 from otc_dist.datasets.generate import generate
 from otc_dist.datasets.names import DatasetName
+from otc_dist.datasets.random_source import RandomSource
 from otc_dist.envs import registry
 from otc_dist.randomness import derive_seed
 from otc_dist.terminal.errors import UserError
@@ -103,6 +104,14 @@ def test_of_adapted_environments_only_random_data_are_made(env_id):
 
 def test_the_usual_size_is_known():
     assert DatasetName.parse(f"{NAME}/medium").usual_size() == 234_224
+    assert DatasetName.parse("smac/3m/random").usual_size() == 100_000
+    assert DatasetName.parse("smax/3m/random").usual_size() == 234_224
+
+
+def test_smax_s_random_data_keep_their_seeds():
+    """They were made by a policy of this name, on which the episodes' seeds depend."""
+    assert RandomSource().policies("smax/3m", "random") == ("random",)
+    assert RandomSource().policies("smac/3m", "random") == ("uniform",)
 
 
 @pytest.mark.slow
