@@ -23,8 +23,8 @@ Data sets we make have the name ENVIRONMENT/LEVEL, where LEVEL is
   medium-replay   a mixture of the policies on the way there, from the untrained one on
 Robots have all three, other tasks those that `list` tells. They are made by playing the behaviour
 policies that come with this package, once, and kept in the cache. The same name and size give the
-same bytes. They are not D4RL's; those, and Minari's, can be imported, and so can deployment logs,
-to train from what an earlier run did.
+same bytes. They are not D4RL's. That data, Minari's and OG-MARL's can be imported, and so can
+deployment logs, to train from what an earlier run did.
 """
 EXAMPLES = """\
 examples:
@@ -91,10 +91,10 @@ def command_line() -> Parser:
     )
     importing = commands.add_parser(
         "import",
-        help="import deployment logs, a D4RL file or a Minari data set",
+        help="import deployment logs, a D4RL file, a Minari data set or an OG-MARL vault",
         description="Import deployment logs of one environment, joined; a joint Minari data set, "
-        "as `replay --export minari` makes it; or a recording of single-agent play, whose action "
-        "vector is split among the agents. Of unfinished or "
+        "as `replay --export minari` makes it; a Flashbax vault of OG-MARL; or a recording of "
+        "single-agent play, whose action vector is split among the agents. Of unfinished or "
         "damaged logs what is intact is taken, and from others' recordings transitions without a "
         "known true successor s' are dropped; the data set's notes tell.",
     )
@@ -104,7 +104,8 @@ def command_line() -> Parser:
         nargs="+",
         metavar="FILE",
         help="deployment logs (RUN/deployments/*.mcap); or one D4RL HDF5 file or Minari data set "
-        "(its folder or its main_data.hdf5); or one agent's own AGENT.safetensors from elsewhere",
+        "(its folder or its main_data.hdf5); or one vault (its folder, as 3m.vlt/Good); or one "
+        "agent's own AGENT.safetensors from elsewhere",
     )
     importing.add_argument(
         "--name",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.datasets.hdf5 import array, attributes, names
-from otc_dist.datasets.recording import Recording, flags, joint_sizes, numbers
+from otc_dist.datasets.recording import Beginnings, Recording, flags, joint_sizes, numbers
 from otc_dist.spec import TeamSpec
 from otc_dist.terminal.errors import UserError
 
@@ -65,26 +65,13 @@ def episodes(file: "h5py.File", source: str) -> list[str]:
     return sorted(found, key=lambda name: int(name.removeprefix(EPISODE)))
 
 
-class Beginnings:
-    """Which episodes are there from their first step.
-
-    Ours say which steps they are of which log and copy; where one is cut, because steps are missing
-    or only a part was exported, what is left becomes an episode that has no beginning. Others'
-    episodes are taken to be whole.
-    """
-
-    def __init__(self) -> None:
-        self._followed: set[tuple[int, ...]] = set()  # what comes after an episode's end
-
-    def has(self, attributes: Mapping[str, object], length: int, ended: bool) -> bool:
-        """Whether the next episode, of so many steps, has its beginning."""
-        place = tuple(attributes.get(f"options/{name}") for name in ("log", "copy", "step"))
-        if not all(isinstance(number, int | np.integer) for number in place):
-            return True
-        log, copy, step = (int(str(number)) for number in place)
-        if ended:
-            self._followed.add((log, copy, step + length))
-        return step == 0 or (log, copy, step) in self._followed
+def place(attributes: Mapping[str, object]) -> tuple[int, int, int] | None:
+    """Log, copy and step of an episode's first row, which our exports tell by its attributes."""
+    found = [attributes.get(f"options/{name}") for name in ("log", "copy", "step")]
+    if not all(isinstance(number, int | np.integer) for number in found):
+        return None
+    log, copy, step = (int(str(number)) for number in found)
+    return log, copy, step
 
 
 def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
@@ -117,7 +104,7 @@ def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
             parts[field].append(flags(group[field], field, length, where))
         parts["episodes"].append(np.full(length, index, np.int64))
         ended = bool(parts["terminations"][-1][-1:].any() | parts["truncations"][-1][-1:].any())
-        whole = beginnings.has(attributes(file, name, source), length, ended)
+        whole = beginnings.has(place(attributes(file, name, source)), length, ended)
         parts["begun"].append(np.full(length, whole, np.bool_))
     if not sum(map(len, parts["rewards"])):
         raise UserError(f"{source} is empty")

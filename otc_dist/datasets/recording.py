@@ -99,7 +99,7 @@ def split(recording: Recording, spec: TeamSpec) -> tuple[JointTransitions, tuple
     actions, said = clipped(np.split(recording.actions, bounds, axis=1), spec)
     notes += said
     if not kept.all():
-        notes += (_dropped(recording),)
+        notes += (dropped(kept, recording.terminated),)
     observations, successors = recording.observations[kept], recording.next_observations[kept]
     rewards = recording.rewards[kept]
     count = len(spec.agents)
@@ -130,13 +130,38 @@ def clipped(
     return within, (f"{beyond} actions beyond the bounds were clipped, as the environment does",)
 
 
-def _dropped(recording: Recording) -> str:
-    lost = ~recording.known
-    ends = int((lost & recording.terminated).sum())
-    text = f"{int(lost.sum())} transitions were dropped: the file lacks their true successor"
+def dropped(known: Bool, terminated: Bool) -> str:
+    """In words, how many transitions (T,) are left out because their successor is not known."""
+    ends = int((~known & terminated).sum())
+    text = f"{int((~known).sum())} transitions were dropped: the file lacks their true successor"
     if not ends:
         return text
-    remaining = int((recording.terminated & recording.known).sum())
+    remaining = int((terminated & known).sum())
     return f"{text}; {ends} of them terminated, {remaining} that terminated are left" + (
         "" if remaining else ", so learners cannot see that falling ends an episode"
     )
+
+
+class Beginnings:
+    """Which episodes are there from their first step.
+
+    Exports of ours say which steps they are of which log and copy; where one is cut, because steps
+    are missing or only a part was exported, what is left becomes an episode that has no beginning.
+    Others' episodes are taken to be whole.
+    """
+
+    def __init__(self) -> None:
+        self._followed: set[tuple[int, int, int]] = set()  # what comes after an episode's end
+
+    def has(self, place: tuple[int, int, int] | None, length: int, ended: bool) -> bool:
+        """Whether the next episode, of so many steps, has its beginning.
+
+        Args:
+            place: log, copy and step of its first row; None: nothing is said of it.
+        """
+        if place is None:
+            return True
+        log, copy, step = place
+        if ended:
+            self._followed.add((log, copy, step + length))
+        return step == 0 or place in self._followed
