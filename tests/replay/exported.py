@@ -11,6 +11,7 @@ import minari
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import tensorstore
 from numpy.typing import NDArray
 
 from .recorded import Arrays
@@ -132,12 +133,59 @@ def read_csv(out: Path, agent: str) -> Arrays:
     }
 
 
+def read_vault(out: Path, agent: str) -> Arrays:
+    """As `flashbax.vault` opens it: metadata.json names the arrays, vault_index how many rows."""
+    root = out / f"{agent}.vlt" / "data"
+    metadata = json.loads((root / "metadata.json").read_text())
+    assert metadata["version"] // 1 == 1
+
+    def opened(name: str) -> Any:
+        store = {"driver": "ocdbt", "base": f"file://{root}", "path": name}
+        return tensorstore.open({"driver": "zarr", "kvstore": store}).result()
+
+    rows = int(opened("vault_index").read().result()[0])
+    found = {}
+    for name, dtype in _leaves(metadata["structure_dtype"]).items():
+        values = opened(f"{name}.")[:, :rows].read().result()
+        shape = _leaves(metadata["structure_shape"])[name]
+        assert values.dtype.name == dtype and values.shape[0] == 1
+        assert list(values.shape[2:]) == json.loads(f"[{shape[1:-1]}]")[2:]
+        found[name] = values[0]
+    masks = {name: found.get(f"infos.{name}") for name in ("legals", "next_legals")}
+    seen = {"legals": found["observations"], "next_legals": found["infos.next_observations"]}
+    before, after = (
+        own[:, 0] if masks[name] is None else np.concatenate((own, masks[name]), axis=2)[:, 0]
+        for name, own in seen.items()
+    )
+    cut = found["infos.cut"][:, 0]
+    assert not cut[:-1].any() or (np.diff(found["infos.trajectory"][:, 0])[cut[:-1]] == 1).all()
+    return {
+        "observations": before,
+        "actions": found["actions"].reshape(rows, -1).astype(np.float32),
+        "rewards": found["rewards"][:, 0],
+        "next_observations": after,
+        "terminated": found["terminals"][:, 0],
+        "truncated": found["truncations"][:, 0] & ~cut,
+        "exploring": found["infos.exploring"][:, 0],
+        "starts": _changes(found["infos.trajectory"][:, 0]),
+        **{name: found[f"infos.{name}"][:, 0] for name in ("log", "copy", "step")},
+    }
+
+
+def _leaves(tree: Mapping[str, Any], group: str = "") -> dict[str, str]:
+    found: dict[str, str] = {}
+    for name, value in tree.items():
+        found |= _leaves(value, f"{name}.") if isinstance(value, dict) else {group + name: value}
+    return found
+
+
 READERS: Mapping[str, Callable[[Path, str], Arrays]] = {
     "minari": read_minari,
     "d4rl": read_d4rl,
     "parquet": read_parquet,
     "lerobot": read_lerobot,
     "csv": read_csv,
+    "vault": read_vault,
 }
 
 

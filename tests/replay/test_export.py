@@ -142,9 +142,15 @@ def rows(data: JointTransitions) -> list[bytes]:
     return sorted(row.tobytes() for row in np.concatenate(columns, axis=1))
 
 
+@pytest.mark.parametrize(("form", "place"), [("minari", "joint-v0"), ("vault", "joint.vlt")])
 @pytest.mark.parametrize("env_id", ["hopper-3x1", "5m_vs_6m", "simple"])
-def test_a_joint_minari_set_is_imported_like_the_logs_it_was_made_of(
-    replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, env_id: str
+def test_a_joint_set_is_imported_like_the_logs_it_was_made_of(
+    replay: Replay,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    env_id: str,
+    form: str,
+    place: str,
 ) -> None:
     monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
     env_id = "mpe2.simple_push_v3:parallel_env" if env_id == "simple" else env_id
@@ -152,9 +158,9 @@ def test_a_joint_minari_set_is_imported_like_the_logs_it_was_made_of(
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for deployment, path in enumerate(paths, 1):
         play(env_id, path, 40, run="a", deployment=deployment)
-    replay(*paths, "--export", "minari", "--out", tmp_path / "out")
+    replay(*paths, "--export", form, "--out", tmp_path / "out")
     logged = import_files(paths, "logged")
-    back = import_files([tmp_path / "out" / "joint-v0"], "back")
+    back = import_files([tmp_path / "out" / place], "back")
     assert logged.returns is not None and back.returns == logged.returns
     assert (back.episodes, back.incomplete_episodes, back.terminated, back.truncated) == (
         logged.episodes,
@@ -165,12 +171,18 @@ def test_a_joint_minari_set_is_imported_like_the_logs_it_was_made_of(
     assert rows(store.load_joint(f"{env_id}/back")) == rows(store.load_joint(f"{env_id}/logged"))
 
 
+@pytest.mark.parametrize(("form", "place"), [("minari", "joint-v0"), ("vault", "joint.vlt")])
 def test_episodes_whose_beginning_was_not_exported_count_as_cut(
-    hopper: Deployments, replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hopper: Deployments,
+    replay: Replay,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    form: str,
+    place: str,
 ) -> None:
     monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
-    replay(hopper.paths[0], "--export", "minari", "--out", tmp_path / "out", "--steps", "9:100")
-    card = import_files([tmp_path / "out" / "joint-v0"], "part")
+    replay(hopper.paths[0], "--export", form, "--out", tmp_path / "out", "--steps", "9:100")
+    card = import_files([tmp_path / "out" / place], "part")
     part = Deployments(hopper.paths[:1], [hopper.steps[0][9:100]]).trajectories()
     returns = [
         float(np.sum([step.rewards[0][copy] for _, copy, step in steps], dtype=np.float64))
@@ -244,7 +256,7 @@ def test_any_bits_survive_and_many_blocks_and_an_unfinished_log(
     made = Recording(((50, 3), (40, 2)), copies=2, steps=900)
     made.write(tmp_path / "log.mcap").close()
     whole = Deployments([tmp_path / "log.mcap"], [made.steps])
-    for form in ("parquet", "d4rl"):
+    for form in ("parquet", "d4rl", "vault"):
         replay(*whole.paths, "--export", form, "--out", tmp_path / form)
         for index in (0, 1):
             found = READERS[form](tmp_path / form, f"agent_{index}")

@@ -49,7 +49,13 @@ def test_mistakes_are_one_line(
 
 
 @pytest.mark.parametrize(
-    ("form", "library"), [("csv", "pyarrow"), ("d4rl", "h5py"), ("minari", "minari")]
+    ("form", "library", "extra"),
+    [
+        ("csv", "pyarrow", "export"),
+        ("d4rl", "h5py", "export"),
+        ("minari", "minari", "export"),
+        ("vault", "tensorstore", "vault"),
+    ],
 )
 def test_without_its_library_the_extra_is_named(
     hopper: Deployments,
@@ -58,13 +64,14 @@ def test_without_its_library_the_extra_is_named(
     monkeypatch: pytest.MonkeyPatch,
     form: str,
     library: str,
+    extra: str,
 ) -> None:
     for module in [name for name in sys.modules if name.startswith("otc_dist.replay.export.")]:
         if not module.endswith(("formats", "trajectories", "command", "room")):
             monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, library, None)
     message = refused(hopper.paths[0], "--export", form, "--out", tmp_path / "out")
-    assert install("export") in message and library in message
+    assert install(extra) in message and library in message
 
 
 LIMITED = """
@@ -76,7 +83,7 @@ run_main(main)
 """
 
 
-@pytest.mark.parametrize("form", ["minari", "parquet"])
+@pytest.mark.parametrize("form", ["minari", "parquet", "vault"])
 def test_without_room_on_the_disk_nothing_is_left_behind(
     hopper: Deployments, tmp_path: Path, form: str
 ) -> None:

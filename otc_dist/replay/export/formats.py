@@ -11,8 +11,6 @@ from otc_dist.spec import TeamSpec
 from otc_dist.system.extras import install
 from otc_dist.terminal.errors import UserError
 
-EXTRA = "export"  # of pyproject.toml
-
 
 @dataclass(frozen=True)
 class View:
@@ -54,6 +52,7 @@ class Format:
     joint: bool  # whether it has room for the data of several agents
     growth: float  # bytes on the disk, at most, for each byte of data
     overhead: int  # bytes, at most, for each trajectory of an agent
+    extra: str = "export"  # of pyproject.toml, which installs the libraries
 
     def opener(self) -> Callable[[Path, View], Writer]:
         """What begins a data set of a view in a folder.
@@ -64,7 +63,7 @@ class Format:
         try:
             module = import_module(f"{__package__}.{self.module}")
         except ImportError:
-            raise UserError(f"this export needs {self.needs}: {install(EXTRA)}") from None
+            raise UserError(f"this export needs {self.needs}: {install(self.extra)}") from None
         opener: Callable[[Path, View], Writer] = module.open_writer
         return opener
 
@@ -74,5 +73,6 @@ FORMATS: Mapping[str, Format] = {
     "d4rl": Format("d4rl_files", "h5py", joint=False, growth=1.5, overhead=0),
     "parquet": Format("parquet_files", "pyarrow", joint=True, growth=1.5, overhead=200),
     "lerobot": Format("lerobot_sets", "pyarrow", joint=True, growth=1.5, overhead=400),
+    "vault": Format("vaults", "tensorstore", joint=True, growth=1.5, overhead=0, extra="vault"),
     "csv": Format("csv_files", "pyarrow", joint=True, growth=6.0, overhead=0),
 }
