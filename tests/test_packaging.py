@@ -41,17 +41,28 @@ def test_every_requirement_is_pinned() -> None:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the source distribution and of the wheel that is made from it alone."""
     source = tmp_path_factory.mktemp("source") / "checkout"
     unwanted = shutil.ignore_patterns(".*", "runs", "build", "__pycache__", "*.egg-info")
     shutil.copytree(ROOT, source, ignore=unwanted)
-    out = tmp_path_factory.mktemp("wheel")
-    subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(out), str(source)],
-        check=True,
-    )
-    (built,) = out.glob("*.whl")
-    return built
+    out = tmp_path_factory.mktemp("built")
+    subprocess.run([sys.executable, "-m", "build", "-o", out, source], check=True, timeout=300)
+    return out
+
+
+@pytest.fixture(scope="module")
+def wheel(built: Path) -> Path:
+    (found,) = built.glob("*.whl")
+    return found
+
+
+@pytest.mark.slow
+def test_what_would_be_uploaded_would_be_taken(built: Path) -> None:
+    files = sorted(built.iterdir())
+    assert [path.suffix for path in files] == [".whl", ".gz"]
+    check = [sys.executable, "-m", "twine", "check", "--strict", *files]
+    assert subprocess.run(check, check=True, capture_output=True).stdout.count(b"PASSED") == 2
 
 
 @pytest.mark.slow
