@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import tensorstore
 
 METADATA, MANIFEST, INDEX = "metadata.json", "manifest.ocdbt", "vault_index"
-MAJOR_VERSION = 1
+FLASHBAX_MAJOR = 1
 _LARGEST_METADATA = 2**24  # bytes
 _LARGEST_CHUNK = 2**26  # bytes; Flashbax's take about 2^22
 _LARGEST_RATIO = 1100  # of the bytes of all arrays to those of the files: Deflate's is 1,032
@@ -155,10 +155,10 @@ def _metadata(folder: Path) -> Mapping[str, Any]:
     except (OSError, ValueError, RecursionError):
         raise UserError(f"{path} cannot be read, or is not a vault's") from None
     version = found.get("version")
-    if isinstance(version, int | float) and MAJOR_VERSION <= version < MAJOR_VERSION + 1:
+    if isinstance(version, int | float) and FLASHBAX_MAJOR <= version < FLASHBAX_MAJOR + 1:
         return found
     told = repr(version)[:20]
-    raise UserError(f"{folder} is a vault of version {told}; version {MAJOR_VERSION}.x is read")
+    raise UserError(f"{folder} is a vault of version {told}; version {FLASHBAX_MAJOR}.x is read")
 
 
 def _leaves(tree: object, folder: Path) -> Iterator[str]:

@@ -25,7 +25,7 @@ from otc_dist.replay.export.formats import View
 from otc_dist.replay.export.tables import Columns, place_columns
 from otc_dist.replay.export.trajectories import Trajectory
 
-_VERSION = 1.2  # of Flashbax's vaults
+_FLASHBAX = 1.2  # of Flashbax's vaults
 _TIME = 10**13  # length of the time axis; `vault_index` says how much of it was written
 _CHUNK = 4096  # rows that are compressed together
 _COMPRESSOR = {"id": "gzip", "level": 5}  # Flashbax's own
@@ -103,7 +103,7 @@ class VaultWriter:
         found = {name: (array.shape, array.dtype.name) for name, array in self._arrays.items()}
         shapes = {name: str((1, _CHUNK, *shape[2:])) for name, (shape, _) in found.items()}
         metadata = {
-            "version": _VERSION,
+            "version": _FLASHBAX,
             "structure_shape": _tree(shapes),
             "structure_dtype": _tree({name: dtype for name, (_, dtype) in found.items()}),
             "otc_dist": json.loads(self._view.about),
