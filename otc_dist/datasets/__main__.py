@@ -10,7 +10,7 @@ from otc_dist.datasets.names import DatasetName, known_names
 from otc_dist.description import user_code
 from otc_dist.system.cache import cache_root
 from otc_dist.terminal import progress
-from otc_dist.terminal.errors import UserError, run_main
+from otc_dist.terminal.errors import run_main
 from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import aligned, say
 
@@ -52,7 +52,7 @@ def main(argv: list[str]) -> int:
             card = store.ensure(arguments.name, arguments.transitions, report, arguments.agent)
         say(*describe(card))
     elif arguments.command == "show":
-        say(*describe(_cached(arguments.name, arguments.transitions)))
+        say(*describe(store.cached(arguments.name, arguments.transitions)))
     else:
         user_code.allow(arguments.env, *arguments.allow)
         with progress.shown("reading", "logs") as report:
@@ -145,28 +145,6 @@ def _list() -> None:
             )
         )
     say(*aligned(rows))
-
-
-def _cached(name: str, transitions: int) -> DatasetCard:
-    """The card of a set in the cache, its files verified."""
-    parsed = DatasetName.parse(name)
-    sizes = parsed.sizes()
-    size = transitions or parsed.usual_size()
-    if not transitions and size not in sizes and len(sizes) == 1:
-        size = sizes[0]  # the only one there is
-    if size not in sizes:
-        others = f" (there are {', '.join(map(str, sizes))})" if sizes else ""
-        raise UserError(
-            f"{name} with {size} transitions is not in the cache{others}; make it: "
-            f"python -m otc_dist.datasets make {name}"
-            + (f" --transitions {transitions}" if transitions else "")
-        )
-    folder = parsed.set_folder(size)
-    card = DatasetCard.read(folder)
-    fault = card.fault(folder) if card else "its card is missing or damaged"
-    if card is None or fault:
-        raise UserError(f"{name} is damaged: {fault}; make or import it again")
-    return card
 
 
 def describe(card: DatasetCard) -> list[str]:

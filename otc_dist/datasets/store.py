@@ -27,7 +27,7 @@ from otc_dist.terminal.errors import UserError, unknown
 from otc_dist.terminal.progress import Report, silent
 from otc_dist.transitions import Float64
 
-__all__ = ["agent_file", "ensure", "load_agent", "load_joint", "usual_size"]
+__all__ = ["agent_file", "cached", "ensure", "load_agent", "load_joint", "usual_size"]
 
 _SEED = 0  # of all data sets that we make: one name and size, one content
 
@@ -92,6 +92,32 @@ def ensure(
             registry.remarks(parsed.env_id),
         )
         return publish(parsed, made, provenance, sorted(wanted))
+
+
+def cached(name: str, transitions: int = 0) -> DatasetCard:
+    """The card of a set in the cache, its files verified; nothing is made.
+
+    Raises:
+        UserError: it is not there, at that size or (0) its usual one, or is damaged.
+    """
+    parsed = DatasetName.parse(name)
+    sizes = parsed.sizes()
+    size = transitions or parsed.usual_size()
+    if not transitions and size not in sizes and len(sizes) == 1:
+        size = sizes[0]  # the only one there is
+    if size not in sizes:
+        others = f" (there are {', '.join(map(str, sizes))})" if sizes else ""
+        raise UserError(
+            f"{name} with {size} transitions is not in the cache{others}; make it: "
+            f"python -m otc_dist.datasets make {name}"
+            + (f" --transitions {transitions}" if transitions else "")
+        )
+    folder = parsed.set_folder(size)
+    card = DatasetCard.read(folder)
+    fault = card.fault(folder) if card else "its card is missing or damaged"
+    if card is None or fault:
+        raise UserError(f"{name} is damaged: {fault}; make or import it again")
+    return card
 
 
 def check(name: str, transitions: int, agents: Sequence[str] = ()) -> bool:

@@ -24,6 +24,7 @@ examples:
   python -m otc_dist.replay deployment_01.mcap --steps 100:200 --agent agent_1
   python -m otc_dist.replay deployment_01.mcap --verify
   python -m otc_dist.replay deployment_01.mcap --export parquet --out exported
+  python -m otc_dist.replay hopper-3x1/medium --export vault --out exported
   python -m otc_dist.replay runs/3agent_hopper-seed0/deployments/*.mcap --publish --rate 10
   python -m otc_dist.replay deployment_01.mcap --html page.html
   python -m otc_dist.replay deployment_01.mcap --episode 3 --video film.mp4
@@ -147,7 +148,12 @@ def command_line() -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "files", nargs="+", type=Path, metavar="FILE", help="a deployment log (.mcap, .partial)"
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="a deployment log (.mcap, .partial); or, for --export, one data set of the cache,"
+        " by its name, as hopper-3x1/medium",
     )
     user_code.add_flag(parser)
     actions = parser.add_mutually_exclusive_group()

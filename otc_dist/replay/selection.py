@@ -34,17 +34,23 @@ def step_range(text: str) -> tuple[int, int | None]:
     return start, stop
 
 
+def chosen_agents(
+    arguments: argparse.Namespace, names: tuple[str, ...], source: str
+) -> tuple[str, ...]:
+    """Those of `names` that `--agent` asks for. UserError: `source` has none of that name."""
+    for agent in arguments.agent or ():
+        if agent not in names:
+            raise UserError(f"{source} has no agent {agent!r}; it has {', '.join(names)}")
+    return tuple(name for name in names if not arguments.agent or name in arguments.agent)
+
+
 def select(arguments: argparse.Namespace, summary: LogSummary) -> Selection:
     """What the command line asks for, in this log.
 
     Raises:
         UserError: the log has no such episode, agent or steps.
     """
-    names = summary.header.team.names
-    for agent in arguments.agent or ():
-        if agent not in names:
-            raise UserError(f"{summary.path} has no agent {agent!r}; it has {', '.join(names)}")
-    agents = tuple(name for name in names if not arguments.agent or name in arguments.agent)
+    agents = chosen_agents(arguments, summary.header.team.names, str(summary.path))
     start, stop, copy = 0, summary.end, None
     if arguments.episode is not None:
         if not 0 <= arguments.episode < len(summary.episodes):

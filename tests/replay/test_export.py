@@ -1,8 +1,8 @@
 """Exports hold what was logged, to the bit, in the words of each format."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +169,49 @@ def test_a_joint_set_is_imported_like_the_logs_it_was_made_of(
         logged.truncated,
     )
     assert rows(store.load_joint(f"{env_id}/back")) == rows(store.load_joint(f"{env_id}/logged"))
+
+
+@pytest.mark.parametrize(
+    ("form", "place", "env_id"),
+    [
+        ("vault", "joint.vlt", "hopper-3x1"),
+        ("vault", "joint.vlt", "5m_vs_6m"),
+        ("minari", "joint-v0", "hopper-3x1"),
+    ],
+)
+def test_a_data_set_goes_out_and_comes_back_to_the_bit(
+    replay: Replay,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    env_id: str,
+    form: str,
+    place: str,
+) -> None:
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
+    made = store.ensure(f"{env_id}/random", 150)
+    _, told = replay(f"{env_id}/random", "--export", form, "--out", tmp_path / "out")
+    assert "150 transitions" in told
+    card = json.loads((tmp_path / "out" / "export.json").read_text())
+    assert card["data_set"] == [json.loads(made.to_json())]
+    back = import_files([tmp_path / "out" / place], "back")
+    assert (back.returns, back.incomplete_episodes) == (made.returns, made.incomplete_episodes)
+    before, after = store.load_joint(f"{env_id}/random", 150), store.load_joint(f"{env_id}/back")
+    for field in fields(before):
+        for one, other in zip(getattr(before, field.name), getattr(after, field.name), strict=True):
+            assert np.asarray(one).tobytes() == np.asarray(other).tobytes(), field.name
+
+
+def test_a_data_set_that_cannot_be_exported_is_refused_in_one_line(
+    refused: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
+    out = ("--export", "csv", "--out", tmp_path / "out")
+    assert "is not in the cache" in refused("hopper-3x1/random", *out)
+    assert "unknown data set" in refused("hopper-3x1/rndom", *out)
+    store.ensure("hopper-3x1/random", 5)
+    assert "--steps is for logs" in refused("hopper-3x1/random", *out, "--steps", "1:2")
+    assert "has no agent 'x'" in refused("hopper-3x1/random", *out, "--agent", "x")
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(("form", "place"), [("minari", "joint-v0"), ("vault", "joint.vlt")])
