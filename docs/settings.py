@@ -60,10 +60,12 @@ def _models(field: dict[str, Any]) -> list[str]:
 
 def _table(fields: dict[str, Any], required: Any) -> str:
     lines = ["| setting | value | default | meaning |", "| --- | --- | --- | --- |"]
-    told = {name: field for name, field in fields.items() if "const" not in field}  # in the heading
-    if not told:
+    shown = {
+        name: field for name, field in fields.items() if "const" not in field
+    }  # in the heading
+    if not shown:
         return "It has no settings.\n"
-    for name, field in told.items():
+    for name, field in shown.items():
         default = "required" if name in required else _shown(field.get("default"))
         meaning = " ".join(field.get("description", "").split()).replace("|", "\\|")
         lines.append(f"| `{name}` | {_kind(field)} | {default} | {meaning} |")

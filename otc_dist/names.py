@@ -1,8 +1,8 @@
 """Names: of agents, runs, data sets, descriptions and environments.
 
 A name becomes a file's name, a part of a bus key and a word on a page, and it may come from
-somebody else's file. So there is one form for all of them, checked wherever one enters; nothing
-behind has to ask whether `../x` is among them.
+somebody else's file. So there is one form for all of them, checked wherever one enters; no code
+after that has to ask whether `../x` is among them.
 """
 
 import re
@@ -35,7 +35,7 @@ def is_code(text: str) -> bool:
 def checked(text: str) -> str:
     """`text`, if it has the form of a name. Raises ValueError."""
     if not is_name(text):
-        raise ValueError(f"{_told(text)} is no name: a name is of {_FORM}")
+        raise ValueError(f"{_shown(text)} is not a valid name: a name is of {_FORM}")
     return text
 
 
@@ -53,7 +53,7 @@ def checked_environment(text: str) -> str:
     """
     if not (is_code(text) or (text.count("/") <= 1 and all(map(is_name, text.split("/"))))):
         raise ValueError(
-            f"{_told(text)} is no environment's id: name, family/name or module:function,"
+            f"{_shown(text)} is not a valid environment id: name, family/name or module:function,"
             f" where a name is of {_FORM}"
         )
     return text
@@ -87,7 +87,7 @@ def from_text(text: str) -> str:
     return name if is_name(name) else f"_{name}"[:LONGEST]
 
 
-def _told(text: str) -> str:
+def _shown(text: str) -> str:
     """A text of unknown length and content, for a message."""
     return repr(text) if len(text) <= LONGEST else f"{text[:LONGEST]!r}..."
 

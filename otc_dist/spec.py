@@ -21,7 +21,7 @@ class AgentSpec:
     Attributes:
         choices: number of discrete actions, or 0 for continuous ones. A discrete action is the
             vector of one entry that holds its index. The last `choices` entries of the
-            observation then tell which actions are available (1) and which are not (0).
+            observation then say which actions are available (1) and which are not (0).
     """
 
     name: AgentName
@@ -79,7 +79,7 @@ def check_team(team: TeamSpec) -> TeamSpec:
 
 
 class Task(Protocol):
-    """What a task asks for, as far as one agent can tell: for algorithms that plan in a model.
+    """What a task asks for, as far as one agent can compute it; for algorithms with a model.
 
     Works on NumPy arrays and on torch tensors of any leading shape. Actions are the agent's own,
     scaled to [-1, 1].

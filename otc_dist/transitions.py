@@ -85,7 +85,7 @@ class Transitions:
     def sound(self) -> Self:
         """The rows without those of steps that did not happen: both terminated and truncated.
 
-        That is how an environment tells that its simulator broke off. In the place of such a row
+        That is how an environment says that its simulator broke off. In the place of such a row
         stands the one before it, or the first sound one, so that there are as many as before.
 
         Raises:

@@ -18,7 +18,7 @@ def confirmed(
 
     Args:
         begun: empty before the first step.
-        where: for the line that tells of a change, as "deployment 2".
+        where: for the line that reports a change, as "deployment 2".
 
     Raises:
         FailureError: one has changed, and the run has not moved.
@@ -37,5 +37,7 @@ def confirmed(
                 f"{changed} did not repeat itself to the bit, as it does on one kind of processor"
                 " and with the same libraries"
             )
-        log.warning("%s comes out otherwise on this kind of processor; it goes on", changed)
+        log.warning(
+            "%s comes out differently on this kind of processor; the run continues", changed
+        )
     return acting

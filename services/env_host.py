@@ -1,7 +1,7 @@
 """The env host: plays the environment with all agents in lock-step, and logs every step.
 
 It is the centre of the bus's star. Its log is written ahead of what it publishes, so that it can
-be killed at any moment: started again, it goes on where the log ends.
+be killed at any moment: started again, it continues where the log ends.
 """
 
 import json
@@ -34,7 +34,7 @@ from otc_dist.terminal.amounts import plus_minus
 from otc_dist.transitions import Float32, JointStep
 
 from .acting import confirmed
-from .gate import Gate
+from .deployment_conditions import DeploymentConditions
 from .history import history_of
 from .host_bus import open_bus
 from .process import Run, check_endpoints, parser, recording, serve
@@ -53,7 +53,7 @@ class EnvHost:
     def __init__(self, run: Run, session: Session) -> None:
         self._run, self._session = run, session
         self._description, self._folder = run.description, run.folder
-        self._settings, self._gate = run.description.deployment, Gate(run)
+        self._settings, self._conditions = run.description.deployment, DeploymentConditions(run)
         self._rejections = Rejections()
         self._schedule = run.schedule
         self._state = HostState.begin(self._folder)
@@ -87,7 +87,7 @@ class EnvHost:
                 self._presence.wait_for_all(patience)
             self._evaluate(0)
             made = 0
-            while made < self._settings.total and not self._gate.closed(made + 1):
+            while made < self._settings.total and not self._conditions.below_floor(made + 1):
                 made += 1
                 self._deploy(made)
                 if made <= self._settings.count:
@@ -132,8 +132,8 @@ class EnvHost:
         if rollout.successes is not None:
             self._metrics["success"] = 100 * sum(rollout.successes) / episodes
         self.heartbeat.publish()
-        told = " ".join(f"{name} {value:.2f}" for name, value in self._metrics.items())
-        log.info("evaluation of policy %d, means: %s", k, told)
+        means = " ".join(f"{name} {value:.2f}" for name, value in self._metrics.items())
+        log.info("evaluation of policy %d, means: %s", k, means)
 
     def _deploy(self, k: int) -> None:
         """Deployment k: M transitions by pi_{k-1}, every step in the log before the next.
@@ -145,9 +145,9 @@ class EnvHost:
             with OpenLog(path) as made:
                 check_whole(made)
             return
-        if self._gate.needs_approval(k):
+        if self._conditions.needs_approval(k):
             self._enter("approval", k, 0)
-            self._gate.wait_for_approval(k)
+            self._conditions.wait_for_approval(k)
         self._enter("deployment", k, self._schedule.steps)
         description = self._description
         env = registry.make(self._run.team.env_id, description.env.copies, description.progress(k))
@@ -160,7 +160,7 @@ class EnvHost:
                     self._note_deployed(k, answers)
                     tags = self._schedule.exploring(rollout.step)
                     last = rollout.advance(_actions(answers), tags)
-                    self._gate.check_rewards(last)
+                    self._conditions.check_rewards(last)
                     writer.write(last)
                 self._ask("deployment", k, rollout.step, rollout.observations, last)
                 writer.finish(self._state.policies)
@@ -168,7 +168,7 @@ class EnvHost:
                 writer.close()
         env.close()
         log.info("deployment %d: %d steps in %s", k, self._schedule.steps, path.name)
-        if found := self._gate.measured(k):
+        if found := self._conditions.measured(k):
             self._metrics = {"measured": found.mean, "error": found.error}
             log.info("deployment %d measured %s", k, plus_minus(found.mean, found.error))
         self.heartbeat.publish()
@@ -179,7 +179,7 @@ class EnvHost:
             writer, steps = LogWriter.resume(path)
             try:
                 check_begun(writer.header, self._run.keys.run, k, partial_path(path))
-                log.info("deployment %d goes on after %d logged steps", k, steps)
+                log.info("deployment %d continues after %d logged steps", k, steps)
                 return writer, resimulate(rollout, path, steps, self._run.moved)
             except BaseException:
                 writer.close()
@@ -263,8 +263,8 @@ def main() -> None:
         "The launcher starts one of these beside one learner per agent. By hand:\n"
         "  python -m otc_dist.services.env_host --run runs/my_run\n"
         "  python -m otc_dist.services.learner --run runs/my_run --agent agent_0   (and so on)\n"
-        "Killed or stopped, it goes on where its log ends when it is started again.\n"
-        "Exit status: 0 done, 1 failed, 2 a mistake to mend, 128 + n stopped by signal n.",
+        "Killed or stopped, it continues where its log ends when it is started again.\n"
+        "Exit status: 0 done, 1 failed, 2 a mistake to fix, 128 + n stopped by signal n.",
     )
     command.add_argument(
         "--listen",

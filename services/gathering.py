@@ -12,7 +12,7 @@ class Gathering:
     """The transitions of the deployment under way, step by step.
 
     Args:
-        copies: E, transitions a step.
+        copies: E, transitions per step.
         own: the deployment's steps that belong to this agent's D_k.
         fetch: where steps come from that this process did not see (it was restarted).
     """

@@ -16,16 +16,16 @@ from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
 from otc_dist.datasets import inputs
 from otc_dist.description import user_code
-from otc_dist.description.distances import TOLD
+from otc_dist.description.distances import SAMPLER_METRICS
 from otc_dist.envs import registry
 from otc_dist.spec import AgentSpec
 from otc_dist.terminal.errors import UserError, unknown
 
 from .gathering import Gathering
-from .judge import Judge
 from .learner_bus import open_bus
 from .metrics import MetricsFile
 from .process import FailureError, Run, check_endpoints, parser, serve
+from .recommender import Recommender
 
 if TYPE_CHECKING:
     from otc_dist.learner.learner import Learner
@@ -54,10 +54,10 @@ class LearnerService:
         self._steps, self._own = schedule.steps, schedule.own(index)
         self._explores = [schedule.exploring(step)[index] for step in range(schedule.steps)]
         self._gathering = Gathering(copies, self._own, self._history.fetch)
-        self._judge = Judge(run, agent.name, self._history.fetch)
+        self._recommender = Recommender(run, agent.name, self._history.fetch)
         self._last = run.description.deployment.count  # no tuning follows what comes after it
         self._metrics = MetricsFile(self._folder.metrics(agent.name))
-        self._told: dict[str, float] = {}  # by the sampler, of the newest deployment
+        self._sampler_metrics: dict[str, float] = {}  # by the sampler, of the newest deployment
         self._buffer_complete = True  # whether the learner's buffer holds D_1 .. D_tuned
         self._answered: Action | None = None
         session.declare_alive(run.keys.alive(agent.name))
@@ -132,8 +132,8 @@ class LearnerService:
         if moment.phase == "done" or question.observations is None:
             tuned = min(moment.policy, self._last)
             self._reach(tuned)
-            self._mend(tuned)
-            self._judge.recommend(moment.deployment, tuned)
+            self._repair(tuned)
+            self._recommender.recommend(moment.deployment, tuned)
             self._answer(Action(moment, None, self._digest))
             return True
         if moment.phase == "deployment" and moment.step == self._steps:
@@ -143,7 +143,7 @@ class LearnerService:
             if moment.deployment <= self._last:
                 self._reach(moment.deployment)
             else:
-                self._judge.take(moment.deployment, self._gathering.all(moment.deployment))
+                self._recommender.take(moment.deployment, self._gathering.all(moment.deployment))
             return False
         self._reach(moment.policy)
         if moment.phase == "deployment":
@@ -176,7 +176,7 @@ class LearnerService:
             else:
                 self._tune(self._learner.tuned + 1)
 
-    def _mend(self, tuned: int) -> None:
+    def _repair(self, tuned: int) -> None:
         """Make again what the disk has damaged of its checkpoints since they were written.
 
         Nobody has read them since, and the env host, whose log that takes, is about to leave.
@@ -201,14 +201,16 @@ class LearnerService:
         if not self._buffer_complete:
             own, fetched = (self._own.start, self._own.stop), []
             for j in range(1, k):  # which may take long: it is seen to get further
-                self._state = Status(self._name, "starting", k, j, k - 1, metrics=self._told)
+                self._state = Status(
+                    self._name, "starting", k, j, k - 1, metrics=self._sampler_metrics
+                )
                 fetched.append(self._history.fetch(j, *own))
             self._learner.restore(fetched)
             self._buffer_complete = True
         data = self._gathering.all(k)
-        self._judge.take(k, data)
-        if (best := self._judge.reverted(k)) is not None:
-            log.info("deployment %d fell short: tuning goes on from policy %d", k, best)
+        self._recommender.take(k, data)
+        if (best := self._recommender.reverted(k)) is not None:
+            log.info("deployment %d fell short: tuning continues from policy %d", k, best)
             try:
                 self._learner.revert(self._folder.checkpoint(self._name, best))
             except UserError as error:
@@ -226,7 +228,7 @@ class LearnerService:
 
     def _ready(self) -> None:
         tuned = max(self._learner.tuned, 0)
-        self._state = Status(self._name, "ready", tuned, metrics=self._told)
+        self._state = Status(self._name, "ready", tuned, metrics=self._sampler_metrics)
         self.heartbeat.publish()
 
     def _check_host(self) -> None:
@@ -236,7 +238,7 @@ class LearnerService:
 
     def _leave(self) -> None:
         """Answer once more if asked, until the env host says that it has heard everybody."""
-        self._state = Status(self._name, "done", self._learner.tuned, metrics=self._told)
+        self._state = Status(self._name, "done", self._learner.tuned, metrics=self._sampler_metrics)
         while self._lockstep.host_phase != "done" and self._lockstep.host_silence() < _FAREWELL:
             question = self._lockstep.question(_LOOK / 5)
             if question is not None:
@@ -244,9 +246,11 @@ class LearnerService:
 
     def _report(self, progress: "Progress") -> None:
         self._metrics.write(progress)
-        told = {name: progress.metrics[name] for name in TOLD if name in progress.metrics}
-        if progress.phase == "tuning" and told:
-            self._told = told
+        sampler_metrics = {
+            name: progress.metrics[name] for name in SAMPLER_METRICS if name in progress.metrics
+        }
+        if progress.phase == "tuning" and sampler_metrics:
+            self._sampler_metrics = sampler_metrics
         before = self._state
         self._state = Status(
             self._name,
@@ -254,7 +258,7 @@ class LearnerService:
             progress.deployment,
             progress.update,
             progress.updates,
-            metrics={**self._told, **progress.metrics},
+            metrics={**self._sampler_metrics, **progress.metrics},
         )
         if before.phase != progress.phase or progress.update == progress.updates:
             self.heartbeat.publish()
@@ -268,8 +272,8 @@ def main() -> None:
         "The launcher starts one of these per agent beside the env host. By hand:\n"
         "  python -m otc_dist.services.env_host --run runs/my_run\n"
         "  python -m otc_dist.services.learner --run runs/my_run --agent agent_0\n"
-        "Killed or stopped, it goes on from its newest checkpoint when it is started again.\n"
-        "Exit status: 0 done, 1 failed, 2 a mistake to mend, 128 + n stopped by signal n.",
+        "Killed or stopped, it continues from its newest checkpoint when it is started again.\n"
+        "Exit status: 0 done, 1 failed, 2 a mistake to fix, 128 + n stopped by signal n.",
     )
     command.add_argument("--agent", required=True, metavar="NAME", help="whose learner, as agent_0")
     command.add_argument(
@@ -288,8 +292,8 @@ def main() -> None:
         run.check(inputs.data(run.description, [agent.name]) | inputs.code(run.description))
         rejections = Rejections()
         with open_bus(run, agent.name, arguments, rejections) as session:
-            told = (FailureError, GaveUpError)
-            with user_code.answers_for(*run.description.parts, but=told):
+            sampler_metrics = (FailureError, GaveUpError)
+            with user_code.answers_for(*run.description.parts, but=sampler_metrics):
                 service = LearnerService(run, agent, session, rejections)
                 with service.heartbeat:
                     service.serve()

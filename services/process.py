@@ -27,7 +27,7 @@ from otc_dist.run.folder import RunFolder
 from otc_dist.spec import TeamSpec
 from otc_dist.system import records
 from otc_dist.terminal import output
-from otc_dist.terminal.errors import UserError, leave, told
+from otc_dist.terminal.errors import UserError, leave, os_error_line
 from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import printable, say
 
@@ -74,7 +74,7 @@ class Run:
         """Read a run folder.
 
         Raises:
-            UserError: it is no run folder, or its description is not resolved.
+            UserError: it is not a run folder, or its description is not resolved.
         """
         folder = RunFolder(root.resolve())
         description = Description.load(folder.description)
@@ -141,7 +141,7 @@ def parser(module: str, description: str, epilog: str) -> argparse.ArgumentParse
         help="certificates, for tls/ (see otc_dist.certs)",
     )
     made.add_argument(
-        "--insecure", action="store_true", help="permit endpoints that anybody may use"
+        "--insecure", action="store_true", help="permit endpoints that anyone can use"
     )
     made.add_argument(
         "--patience",
@@ -177,7 +177,7 @@ def endpoint_at(locator: str, process: str, arguments: argparse.Namespace) -> En
     endpoint = parse_endpoint(locator, process, arguments.certs, arguments.insecure)
     if arguments.insecure:
         log.warning(
-            "WARNING: --insecure: whoever reaches %s can read this run, act in it and end it",
+            "WARNING: --insecure: anyone who reaches %s can read this run, act in it and end it",
             locator,
         )
     return endpoint
@@ -204,7 +204,7 @@ def serve(body: Callable[[], None]) -> None:
         say(printable(f"error: {error}"), file=sys.stderr)
         status = 1
     except OSError as error:  # a full disk, a folder that went
-        say(printable(f"error: {told(error)}"), file=sys.stderr)
+        say(printable(f"error: {os_error_line(error)}"), file=sys.stderr)
         status = 1
     except _StoppedError as stopped:
         print(f"stopped by {signal.Signals(stopped.number).name}", file=sys.stderr)
@@ -226,5 +226,5 @@ def recording(path: Path, kept: str) -> Iterator[None]:
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
         raise FailureError(
-            f"cannot write {path}: {reason}; {kept}: mend it and resume the run"
+            f"cannot write {path}: {reason}; {kept}: fix it and resume the run"
         ) from None

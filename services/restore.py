@@ -41,7 +41,7 @@ def resimulate(rollout: Rollout, path: Path, steps: int, moved: bool) -> JointSt
     """Advance a fresh `rollout` by the first `steps` logged steps; returns the last of them.
 
     Args:
-        moved: the run has come to another kind of processor, on which simulators round otherwise.
+        moved: the run has come to another kind of processor, on which simulators round differently.
             Then each step begins from its logged state, as far as the environment can be set to
             one, and the log stays as it is.
 

@@ -19,7 +19,7 @@ GOOD = ("a", "agent_0", "3agent_hopper", "x" * 128, "a.b", "a-b", "_a", "0", "a.
 @pytest.mark.parametrize("name", BAD)
 def test_what_is_no_name(name: str) -> None:
     assert not names.is_name(name)
-    with pytest.raises(ValueError, match="is no name"):
+    with pytest.raises(ValueError, match="is not a valid name"):
         names.checked(name)
     assert names.is_name(names.from_text(name))
 
@@ -43,7 +43,7 @@ def test_environments(env_id: str) -> None:
 
 @pytest.mark.parametrize("env_id", [*BAD[:5], *BAD[6:-1], "a/b/c", "../x:y", "a:b:c", "a/../b"])
 def test_no_environments(env_id: str) -> None:
-    with pytest.raises(ValueError, match="no environment's id"):
+    with pytest.raises(ValueError, match="is not a valid environment id"):
         names.checked_environment(env_id)
 
 
@@ -80,9 +80,9 @@ def test_data_sets_arms_and_runs(tmp_path: Path) -> None:
         DatasetName.parse("hopper-3x1/..")
     with pytest.raises(UserError, match="write name=section"):
         parse_arms("uniform", ["../x=sampling.alpha=1"])
-    with pytest.raises(UserError, match="no run's name"):
+    with pytest.raises(UserError, match="is not a valid run name"):
         certs([str(tmp_path / "certs"), "--agents", "2", "--rules", "../x"])
     source = tmp_path / "a.hdf5"
     source.write_bytes(b"")
-    with pytest.raises(UserError, match="a data set cannot be called so"):
+    with pytest.raises(UserError, match="a data set cannot have this name"):
         import_files([source], "../x", "hopper-3x1")

@@ -66,7 +66,7 @@ def _log(path: Path) -> None:
 def _checkpoint(path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(checkpoint, "FORMAT", 2)
-        progressed = checkpoint.Progressed("agent_0", "", "", 0, 0, 1.0, 1.0)
+        progressed = checkpoint.CheckpointMetadata("agent_0", "", "", 0, 0, 1.0, 1.0)
         checkpoint.write(path, {"x": np.zeros(1)}, progressed)
     checkpoint.read(path)
 

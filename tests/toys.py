@@ -19,11 +19,11 @@ from otc_dist.otc.acceptance.weighted import Weighted
 from otc_dist.otc.distances.interface import Distance, Scores, Setting
 from otc_dist.otc.samplers.correction import CorrectionSection
 from otc_dist.otc.samplers.interface import (
-    Begun,
     Extent,
     Gathered,
-    Held,
     Indices,
+    MergedData,
+    Preparation,
     Sampler,
     Selection,
 )
@@ -91,9 +91,9 @@ class Recent(Sampler):
         first = extent.size - self.settings.span
         return {"batch": random.integers(first, extent.size, (updates, self.batch_size))}
 
-    def begin(self, held: Held) -> Begun:
+    def begin(self, held: MergedData) -> Preparation:
         seen = held.state.get("sampler_seen", torch.zeros(()))
-        return Begun(held.data, {"sampler_seen": seen + 1})
+        return Preparation(held.data, {"sampler_seen": seen + 1})
 
     def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
         return Selection(sampled["batch"], sampled["batch"])
@@ -109,7 +109,7 @@ class Late:
     def create(cls, setting: Setting) -> "Late":
         return cls()
 
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+    def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         return Scores(-torch.arange(held.extent.size).float())
 
 

@@ -14,9 +14,9 @@ from pathlib import Path
 from otc_dist.terminal.errors import UserError, unknown
 from otc_dist.terminal.parser import Parser
 
-from . import arena
+from . import sandbox
 from .disturbed_run import PHASES, DisturbedRun, StuckError
-from .fault import Fault, MissedError, Place
+from .fault import Fault, MissedError, Setup
 from .faults import FAULTS
 from .outcome import differences, outcome
 
@@ -71,21 +71,21 @@ def main(argv: list[str]) -> int:
     """
     arguments = command_line().parse_args(argv)
     wanted = _wanted(arguments.faults)
-    arena.enter()
+    sandbox.enter()
     out: Path = (arguments.out or Path(tempfile.mkdtemp(prefix="otc-chaos-"))).resolve()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"cannot make the folder {out}: {error.strerror}") from None
     start = time.monotonic()
-    with arena.prepared(out) as prepared:
-        place = Place(out, prepared)
-        calm = _Calm(out)
+    with sandbox.prepared(out) as prepared:
+        setup = Setup(out, prepared)
+        undisturbed = _UndisturbedRuns(out)
         tallies: dict[str, Tally] = {}
         try:
             for name, count in wanted.items():
                 tallies[name] = Tally(count)
-                _inflict(name, place, arguments.seed, calm, tallies[name])
+                _inflict(name, setup, arguments.seed, undisturbed, tallies[name])
         finally:  # also after Ctrl-C: what was found so far
             print(f"\n{(time.monotonic() - start) / 60:.0f} min, seed {arguments.seed}")
             print("\n".join(_table(tallies)))
@@ -95,7 +95,7 @@ def main(argv: list[str]) -> int:
     return int(wrong)
 
 
-class _Calm:
+class _UndisturbedRuns:
     """What undisturbed runs leave, each run when it is first asked for."""
 
     def __init__(self, out: Path) -> None:
@@ -122,18 +122,20 @@ class _Calm:
         return self._known[changes]
 
 
-def _inflict(name: str, place: Place, seed: int, calm: _Calm, tally: Tally) -> None:
+def _inflict(
+    name: str, setup: Setup, seed: int, undisturbed: _UndisturbedRuns, tally: Tally
+) -> None:
     """Strike as often as it is wanted, in as many runs as it takes."""
     make = FAULTS[name]
-    tally.skipped = make(place).impossible
-    expected = {} if tally.skipped else calm.outcome(make(place).changes)
+    tally.skipped = make(setup).impossible
+    expected = {} if tally.skipped else undisturbed.outcome(make(setup).changes)
     while not tally.skipped and tally.struck < tally.wanted and len(tally.wrong) < 3:
         if tally.in_vain == IN_VAIN:
             print(f"{name}: nothing to strike in {IN_VAIN} runs", file=sys.stderr, flush=True)
             return
-        fault, before = make(place), tally.struck
+        fault, before = make(setup), tally.struck
         numbers = random.Random(f"{seed} {name} {tally.runs}")
-        folder = place.room(fault) / f"{name.rstrip('%')}-{tally.runs:03d}"
+        folder = setup.folder_for(fault) / f"{name.rstrip('%')}-{tally.runs:03d}"
         run = DisturbedRun(folder, (*SHORT_RUN, *fault.flags, *fault.changes), fault.forgiving)
         try:
             with run, fault:
@@ -146,7 +148,7 @@ def _inflict(name: str, place: Place, seed: int, calm: _Calm, tally: Tally) -> N
         if wrong:
             tally.wrong.append(f"{folder}: {', '.join(wrong)}")
             print(f"WRONG: {tally.wrong[-1]}", file=sys.stderr, flush=True)
-            _keep(folder, place.out / "wrong" / folder.name)
+            _keep(folder, setup.out / "wrong" / folder.name)
         else:
             shutil.rmtree(folder)
         print(f"{name}: {tally.struck} of {tally.wanted}, {tally.runs} runs", flush=True)

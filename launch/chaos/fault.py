@@ -5,8 +5,8 @@ from pathlib import Path
 from random import Random
 from typing import Self
 
-from .arena import Arena
 from .disturbed_run import WORKING, DisturbedRun
+from .sandbox import Sandbox
 
 
 class MissedError(Exception):
@@ -14,15 +14,15 @@ class MissedError(Exception):
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where runs are disturbed."""
+class Setup:
+    """What a fault is made with: where runs are disturbed."""
 
     out: Path
-    arena: Arena
+    sandbox: Sandbox
 
-    def room(self, fault: "Fault") -> Path:
+    def folder_for(self, fault: "Fault") -> Path:
         """The folder for runs that `fault` strikes."""
-        return self.arena.small if fault.small else self.out
+        return self.sandbox.small if fault.small else self.out
 
 
 class Fault:
@@ -31,8 +31,8 @@ class Fault:
     Attributes:
         phases: of `chaos_run.PHASES`, in which it strikes.
         flags: of the launcher; a run with them ends as one without.
-        changes: further ones, with which a run ends otherwise: it is held against another one.
-        small: the run's folder lies on the arena's small disk.
+        changes: further ones, with which a run ends differently: it is compared with another one.
+        small: the run's folder lies on the sandbox's small disk.
         forgiving: the launcher itself may end by it, and is resumed.
         impossible: why it cannot be had here.
     """
@@ -44,8 +44,8 @@ class Fault:
     forgiving = False
     impossible = ""
 
-    def __init__(self, place: Place) -> None:
-        self.arena = place.arena
+    def __init__(self, setup: Setup) -> None:
+        self.sandbox = setup.sandbox
 
     def __enter__(self) -> Self:
         return self

@@ -14,7 +14,7 @@ from otc_dist.run.folder import RunFolder
 
 from ..show.process_states import ProcessState
 from .disturbed_run import PHASES, WORKING, DisturbedRun
-from .fault import Fault, MissedError, Place
+from .fault import Fault, MissedError, Setup
 from .links import KillRouter, Links
 
 _ALIVE = ("starting", "up")
@@ -117,10 +117,10 @@ class FullDisk(Fault):
     small = True
     forgiving = True
 
-    def __init__(self, place: Place) -> None:
-        super().__init__(place)
-        self.impossible = place.arena.disk
-        self._ballast = place.arena.small / "ballast"
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self.impossible = setup.sandbox.disk
+        self._ballast = setup.sandbox.small / "ballast"
 
     def strike(self, run: DisturbedRun, numbers: Random) -> None:
         with self._ballast.open("wb", buffering=0) as file:
@@ -140,9 +140,9 @@ class Any(Fault):
     KINDS = (KillHost, KillLearner, KillLauncher, KillPreparation, Freeze, CorruptCheckpoint)
     phases = KillLauncher.phases
 
-    def __init__(self, place: Place) -> None:
-        super().__init__(place)
-        self._faults = [kind(place) for kind in self.KINDS]
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._faults = [kind(setup) for kind in self.KINDS]
 
     def strike(self, run: DisturbedRun, numbers: Random) -> None:
         phase = run.phase
@@ -152,7 +152,7 @@ class Any(Fault):
         numbers.choice(fitting).strike(run, numbers)
 
 
-FAULTS: dict[str, Callable[[Place], Fault]] = {
+FAULTS: dict[str, Callable[[Setup], Fault]] = {
     "kill-host": KillHost,
     "kill-learner": KillLearner,
     "kill-launcher": KillLauncher,

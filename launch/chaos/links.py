@@ -8,7 +8,7 @@ from typing import Self
 
 from ..supervise.supervisor import die_with_parent
 from .disturbed_run import DisturbedRun
-from .fault import Fault, Place
+from .fault import Fault, Setup
 
 _TCP = "tcp/127.0.0.1:7447"
 # A router as anybody may run one: nothing of this package's settings.
@@ -26,8 +26,8 @@ with zenoh.open(config):
 class KillRouter(Fault):
     """SIGKILL to a router at which all processes meet; another is started after a while."""
 
-    def __init__(self, place: Place) -> None:
-        super().__init__(place)
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
         self._folder = tempfile.TemporaryDirectory(prefix="otc-")
         self.endpoint = f"unixsock-stream/{self._folder.name}/bus"
         self.flags = ("--set", f"bus.router={self.endpoint}")
@@ -63,18 +63,18 @@ class Links(KillRouter):
         percent: of the packets that are lost; 100: the links are cut.
     """
 
-    def __init__(self, place: Place, percent: int) -> None:
-        super().__init__(place)
-        self.impossible, self._percent = place.arena.net, percent
+    def __init__(self, setup: Setup, percent: int) -> None:
+        super().__init__(setup)
+        self.impossible, self._percent = setup.sandbox.net, percent
         self.endpoint = _TCP
         self.flags = ("--set", f"bus.router={_TCP}", "--insecure")
 
     def strike(self, run: DisturbedRun, numbers: Random) -> None:
         if self._percent == 100:
-            self.arena.cut()
+            self.sandbox.cut()
         else:
-            self.arena.lose(self._percent)
+            self.sandbox.drop_packets(self._percent)
         try:
             run.wait(numbers.uniform(0.2, 6.0))
         finally:
-            self.arena.mend()
+            self.sandbox.restore()

@@ -18,7 +18,7 @@ from otc_dist.report.run_page import render
 from otc_dist.run.folder import RunFolder
 from otc_dist.transitions import JointStep
 
-# Of run.json and of the report: what tells one run of a description from another.
+# Of run.json and of the report: what distinguishes one run of a description from another.
 _OWN = ("run", "command", "started", "finished", "resumed")
 
 
@@ -49,8 +49,8 @@ def differences(ours: Mapping[str, bytes], theirs: Mapping[str, bytes]) -> list[
 def _report(folder: RunFolder) -> bytes:
     """The report and its numbers, but for whose they are and how long it took."""
     run = read_run(folder)
-    told = {name: value for name, value in run.record.items() if name not in _OWN}
-    record = cast(Record, told)
+    fields = {name: value for name, value in run.record.items() if name not in _OWN}
+    record = cast(Record, fields)
     record["run"] = "a run"  # else it is called as its folder is
     # Where the processes meet is part of the description, and is not the same for every fault.
     description = run.description.with_assignments("bus.router=''")
@@ -71,8 +71,10 @@ def _digest(text: str) -> bytes:
 
 
 def _json(path: Path, *without: str) -> bytes:
-    told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return _digest(json.dumps({k: v for k, v in told.items() if k not in without}, sort_keys=True))
+    fields: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return _digest(
+        json.dumps({k: v for k, v in fields.items() if k not in without}, sort_keys=True)
+    )
 
 
 def _record(path: Path) -> bytes:

@@ -29,7 +29,7 @@ _EXPLANATION = """\
 Trains the offline policies of every seed once, tunes every arm from them with common random
 numbers, and compares the arms on the same greedy episodes. Raw scores are in OUT/seeds; the result
 is in OUT/comparison.html and OUT/comparison.json, rewritten whenever a seed is complete. The same
-command goes on where it was stopped; more seeds or more arms may be asked for later.
+command continues where it was stopped; more seeds or more arms may be asked for later.
 """
 
 
@@ -37,7 +37,7 @@ def main(argv: list[str]) -> int:
     """Compare arms. Returns the exit status.
 
     Raises:
-        UserError: anything the user can mend: one line, status 2.
+        UserError: anything the user can fix: one line, status 2.
     """
     parser = command_line()
     arguments = parser.parse_args(argv)
@@ -90,7 +90,7 @@ def _check(base: Description, arms: Arms, quick: bool) -> None:
             f" {base.evaluation.episodes}: returns are too noisy (--quick allows fewer, as a look)"
         )
     if not base.deployment.count:
-        raise UserError("a comparison needs deployment.count >= 1: nothing is tuned otherwise")
+        raise UserError("a comparison needs deployment.count >= 1: otherwise nothing is tuned")
     arms_of.check(base, arms)
 
 
@@ -130,7 +130,7 @@ def _compare(
     except FailedError as failed:
         status = job_graph.failure(failed, folder)
     except StoppedError as stopped:
-        print(f"stopped by {stopped}; the same command goes on")
+        print(f"stopped by {stopped}; the same command continues")
         status = stopped.status
     if not left or status:  # else it was shown when the last job finished
         _conclude(folder, base, arms, seeds, quick, results)

@@ -16,7 +16,7 @@ from otc_dist.description import Description, user_code
 from otc_dist.terminal.errors import run_main
 
 from ..plan.run_record import versions
-from ..supervise.jobs import Teller
+from ..supervise.jobs import ProgressLines
 
 
 def main(argv: list[str]) -> int:
@@ -35,16 +35,16 @@ def _do(
     folder: ComparisonFolder, base: Description, seed: int, piece: str, rest: list[str]
 ) -> None:
     if piece == "offline":
-        runs.train_offline(folder, base, seed, rest[0], Teller(), rest[1:])
+        runs.train_offline(folder, base, seed, rest[0], ProgressLines(), rest[1:])
     elif piece == "pi_0":
         runs.evaluate_offline(folder, base, seed, rest)
     else:
         name, *assignments = rest
         if piece == "arm":
-            runs.run_arm(folder, base, seed, name, assignments, versions(), Teller())
+            runs.run_arm(folder, base, seed, name, assignments, versions(), ProgressLines())
         else:
             analysed = base.with_assignments(*assignments)
-            check.measure(folder, analysed, seed, name, Teller())
+            check.measure(folder, analysed, seed, name, ProgressLines())
 
 
 if __name__ == "__main__":

@@ -36,7 +36,9 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
     except OSError as error:
         raise UserError(f"cannot make {folder.root}: {error.strerror}") from None
     if RunFolder(folder.root).run_json.exists():
-        raise UserError(f"{folder.root} is a run's folder, no comparison's; use another --out")
+        raise UserError(
+            f"{folder.root} is the folder of a run, not of a comparison; use another --out"
+        )
     with run_record.locked(RunFolder(folder.root)):
         if folder.description.exists():
             _same(Description.load(folder.description), base, folder)

@@ -28,7 +28,7 @@ def main(argv: list[str]) -> int:
     """Measure and print. Returns the exit status.
 
     Raises:
-        UserError: anything the user can mend: one line, status 2.
+        UserError: anything the user can fix: one line, status 2.
     """
     arguments = command_line().parse_args(argv)
     user_code.allow(*arguments.allow)
@@ -71,7 +71,7 @@ def main(argv: list[str]) -> int:
         except FailedError as failed:
             return job_graph.failure(failed, folder)
         except StoppedError as stopped:
-            print(f"stopped by {stopped}; the same command goes on")
+            print(f"stopped by {stopped}; the same command continues")
             return stopped.status
     if quick:
         print(descriptions.QUICK_LABEL)

@@ -34,13 +34,13 @@ def check_folder(out: Path, needed: int) -> RunFolder:
             raise UserError(f"{out} exists already; use {hint}another --out")
         there = next(path for path in (folder.root, *folder.root.parents) if path.exists())
         if not there.is_dir():
-            raise UserError(f"cannot make the run folder {out}: {there} is no folder")
+            raise UserError(f"cannot make the run folder {out}: {there} is not a folder")
         if not os.access(there, os.W_OK | os.X_OK):
             raise UserError(f"cannot write to {there}: permission denied")
-        room = os.statvfs(there)
+        disk = os.statvfs(there)
     except OSError as error:
         raise UserError(f"cannot make the run folder {out}: {error.strerror}") from None
-    free = room.f_bavail * room.f_frsize
+    free = disk.f_bavail * disk.f_frsize
     if free < needed:
         raise UserError(
             f"no disk space at {out}: about {_megabytes(needed)} are needed,"

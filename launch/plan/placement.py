@@ -139,7 +139,7 @@ class Placement:
             return f"the other hosts are met at {self.connect}"
         return f"all processes meet at {self.connect}" if self.connect else ""
 
-    def knock(self) -> None:
+    def check_access(self) -> None:
         """Find out where the others are met whether they let us in, before any work is done.
 
         Raises:

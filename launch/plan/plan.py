@@ -25,7 +25,7 @@ from .placement import Placement
 
 # Of bus.answer_deadline: who stands still so long is started again, before the others give it up.
 _STUCK = 0.75
-_ASKING = 60.0  # seconds that a user's environment may take at least to tell of its agents
+_ASKING = 60.0  # seconds that a user's environment may take at least to describe its agents
 # Bytes of one float32 number in a log, of one float64 of state; parameters in a checkpoint.
 _CHECKPOINT_BYTES = 2_000_000  # networks of Table 3's sizes, their targets and optimizers
 
@@ -121,7 +121,7 @@ class Plan:
         d = self.description
         yield f"{d.name}: {d.heading}"
         yield f"run folder   {self.folder.root}"
-        yield f"data         {d.dataset.name}, {d.dataset.transitions:,} transitions an agent"
+        yield f"data         {d.dataset.name}, {d.dataset.transitions:,} transitions per agent"
         for agent in self.learners:
             path = self._data_file(agent)
             state = "cached" if path.exists() else "to be made"
@@ -171,7 +171,7 @@ class Plan:
 def _conditions(deployment: DeploymentSection) -> Iterator[str]:
     """What is kept, and what a deployment depends on, in words."""
     kept = "the best deployed policy" if deployment.keep == "best" else "the last tuned policy"
-    yield f"{kept} is recommended" + (", and tuning goes on from it" if deployment.revert else "")
+    yield f"{kept} is recommended" + (", and tuning continues from it" if deployment.revert else "")
     if deployment.floor is not None:
         yield f"no deployment follows one that measures less than {deployment.floor:g}"
     if deployment.approve:
@@ -182,7 +182,7 @@ def team_of(description: Description) -> TeamSpec:
     """The team of a description, of a user's environment as well.
 
     Raises:
-        UserError: an unknown environment, or a user's that does not tell in time.
+        UserError: an unknown environment, or a user's that does not answer in time.
     """
     patience = max(_ASKING, description.bus.answer_deadline)
     with within(patience, f"asking {description.env.id} for its agents"):

@@ -18,7 +18,7 @@ def check(plan: Plan, out: Path) -> None:
         UserError: those whom this machine meets refuse it, the folder is taken, held or cannot be
             made, the disk is too full, or the data cannot be had or are not what they should be.
     """
-    plan.placement.knock()
+    plan.placement.check_access()
     if goes_on(plan):
         with run_record.locked(plan.folder):
             run_record.check_part(plan.folder, plan.description, plan.placement)

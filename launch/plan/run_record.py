@@ -66,7 +66,7 @@ class RunRecord:
         try:
             return records.read_json(cls, folder.run_json)
         except FileNotFoundError:
-            raise UserError(f"{folder.root} is no run folder: it has no run.json") from None
+            raise UserError(f"{folder.root} is not a run folder: it has no run.json") from None
 
 
 def versions() -> dict[str, str]:
@@ -118,7 +118,7 @@ def shared_name(description: Description) -> str:
 
 
 def _own_name(folder: RunFolder) -> str:
-    """The name of a run on one machine: told apart, should two of one name meet on a router."""
+    """The name of a run on one machine: unique, should two of one name meet on a router."""
     return f"{names.from_text(folder.root.name)[: names.LONGEST - 7]}-{secrets.token_hex(3)}"
 
 
@@ -156,9 +156,9 @@ def _on_this_processor(record: RunRecord, folder: RunFolder) -> RunRecord:
         return record
     if before:
         print(
-            f"{folder.root} ran on {before[0]}, and this is {here}: products are rounded otherwise,"
-            " so it goes on from its checkpoints as they are, but not to the bytes that it would"
-            " have come to there",
+            f"{folder.root} ran on {before[0]}, and this is {here}: products are rounded"
+            " differently, so it continues from its checkpoints as they are, but not to the bytes"
+            " that it would have reached there",
             flush=True,
         )
     return replace(record, processors=(*record.processors, here))
@@ -239,7 +239,7 @@ def locked(folder: RunFolder) -> Iterator[None]:
 
 
 def launched(folder: RunFolder) -> bool | None:
-    """Whether a launcher is at work there, without writing anything; None: no lock tells."""
+    """Whether a launcher is at work there, without writing anything; None: no lock says."""
     try:
         descriptor = os.open(folder.root / LOCK, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:

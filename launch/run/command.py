@@ -28,7 +28,7 @@ def main(argv: list[str]) -> int:
     """Run, resume, list or plan. Returns the exit status.
 
     Raises:
-        UserError: anything the user can mend: one line, status 2.
+        UserError: anything the user can fix: one line, status 2.
     """
     parser = command_line()
     arguments = parser.parse_args(argv)
@@ -52,8 +52,8 @@ def main(argv: list[str]) -> int:
 
 # What one asks for -> why, and with what it can be asked for: whatever else is given does nothing.
 _TOGETHER = {
-    "list": ("--list tells what there is", ()),
-    "resume": ("--resume goes on with the run as it was begun", ("deployments",)),
+    "list": ("--list lists what there is", ()),
+    "resume": ("--resume continues the run as it was begun", ("deployments",)),
     "hosts": (
         "--hosts says what each host does",
         ("description", "arm", "set", "seed", "quick", "insecure", "ssh"),
@@ -134,7 +134,7 @@ def _resume(arguments: argparse.Namespace) -> int:
     folder = RunFolder(arguments.resume.resolve())
     with ExitStack() as stack:
         # A folder without a record is not a run's: no lock in it.
-        run_record.RunRecord.read(folder).place.knock()
+        run_record.RunRecord.read(folder).place.check_access()
         stack.enter_context(run_record.locked(folder))
         if arguments.deployments is not None:
             extend(folder, arguments.deployments)
@@ -171,7 +171,7 @@ def command_line() -> Parser:
     )
     parser.add_argument("--seed", type=_whole, help="the run's seed")
     parser.add_argument("--out", type=Path, help="run folder (default: runs/NAME-seedSEED)")
-    parser.add_argument("--resume", type=Path, metavar="RUN", help="go on with a run")
+    parser.add_argument("--resume", type=Path, metavar="RUN", help="continue a run")
     parser.add_argument(
         "--deployments", type=_whole, metavar="N", help="with --resume: extend it to so many"
     )
@@ -190,7 +190,7 @@ def command_line() -> Parser:
     apart.add_argument("--listen", metavar="ENDPOINT", help="of the host, as tls/0.0.0.0:7447")
     apart.add_argument("--connect", metavar="ENDPOINT", help="to the host, as tls/192.0.2.1:7447")
     apart.add_argument("--certs", type=Path, metavar="DIR", help="what otc_dist.certs has made")
-    apart.add_argument("--insecure", action="store_true", help="no TLS: anybody may read and write")
+    apart.add_argument("--insecure", action="store_true", help="no TLS: anyone can read and write")
     apart.add_argument(
         "--hosts",
         type=Path,
@@ -219,4 +219,4 @@ def _whole(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None

@@ -33,9 +33,9 @@ from ..supervise.supervisor import End, Supervisor
 
 # -tt: what runs there ends when the link does; --: no option comes after it.
 _SSH = ("ssh", "-tt", "-o", "BatchMode=yes", "--")
-_PLAIN = ("env", "TERM=dumb")  # what runs there is given a terminal, and told to write lines to it
+_PLAIN = ("env", "TERM=dumb")  # what runs there is given a terminal, and must write lines to it
 INSECURE = (
-    "WARNING: --insecure: nothing on the network is encrypted or checked; whoever reaches the"
+    "WARNING: --insecure: nothing on the network is encrypted or checked; anyone who reaches the"
     " endpoint can read this run, act in it and end it"
 )
 _USER = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+@-]*")
@@ -175,7 +175,7 @@ def run(every: Sequence[Part], logs: Path, started: Callable[[Part], Sequence[st
                     _explain(end, every)
                     return 1
         if signals.stop:
-            print(f"stopped by {signals.stop.name}; the same command goes on")
+            print(f"stopped by {signals.stop.name}; the same command continues")
             return 128 + signals.stop
     return 0
 

@@ -61,7 +61,7 @@ def run_one_off(
             why = killed.pop(name, "")
             manner = end.manner + (f", since it {why}" if why else "")
             if end.status > 0 or restarts[name] == LIMIT:  # what it said was shown as it came
-                raise DiedError(end, manner, restarts[name], told=end.status == MISTAKE)
+                raise DiedError(end, manner, restarts[name], explained=end.status == MISTAKE)
             delay = FIRST_DELAY * 2 ** restarts[name]
             restarts[name] += 1
             again = f"starts again in {delay:g} s ({restarts[name]} of {LIMIT})"

@@ -10,7 +10,7 @@ from otc_dist.description import Description
 from otc_dist.description.distances import FITS
 from otc_dist.envs import registry
 from otc_dist.learner import checkpoint
-from otc_dist.learner.checkpoint import Arrays, Progressed
+from otc_dist.learner.checkpoint import Arrays, CheckpointMetadata
 from otc_dist.run.folder import RunFolder
 from otc_dist.spec import AgentSpec, TeamSpec
 from otc_dist.terminal.errors import UserError
@@ -26,7 +26,7 @@ class Origin:
     """
 
     root: Path
-    policies: Mapping[str, tuple[Arrays, Progressed]]
+    policies: Mapping[str, tuple[Arrays, CheckpointMetadata]]
 
     @classmethod
     def of(cls, root: Path, description: Description) -> Self:
@@ -59,11 +59,11 @@ class Origin:
 
     def begun(self, description: Description) -> Description:
         """A copy that trains nothing offline, and is bound to these very policies."""
-        told = hashlib.sha256()
+        hashed = hashlib.sha256()
         for agent, (arrays, _) in sorted(self.policies.items()):
             own = checkpoint.parts(arrays)["algorithm"]
-            told.update(f"{agent} {checkpoint.digest(own)} ".encode())
-        digest = f"offline.policies='{told.hexdigest()[:16]}'"
+            hashed.update(f"{agent} {checkpoint.digest(own)} ".encode())
+        digest = f"offline.policies='{hashed.hexdigest()[:16]}'"
         return description.with_assignments("offline.updates=0", digest)
 
     def write(self, folder: RunFolder, description: Description) -> None:
@@ -84,7 +84,7 @@ def _description(root: Path) -> Description:
     if not own.exists() and root.parent.name == "seeds" and above.exists():
         return Description.load(above)
     if not own.exists():
-        raise UserError(f"--from: {root} is no run folder: it has no description.toml")
+        raise UserError(f"--from: {root} is not a run folder: it has no description.toml")
     return Description.load(own)
 
 
@@ -97,10 +97,10 @@ def _team(root: Path, description: Description) -> TeamSpec:
 
 
 def _check_agents(root: Path, mine: tuple[AgentSpec, ...], theirs: tuple[AgentSpec, ...]) -> None:
-    def told(agents: tuple[AgentSpec, ...]) -> list[tuple[str, int, int, int]]:
+    def sizes(agents: tuple[AgentSpec, ...]) -> list[tuple[str, int, int, int]]:
         return [(a.name, a.observation_size, a.action_size, a.choices) for a in agents]
 
-    for own, other in zip(told(mine), told(theirs), strict=False):
+    for own, other in zip(sizes(mine), sizes(theirs), strict=False):
         if own != other:
             raise UserError(
                 f"{root} is of other agents: {_sizes(other)} there, and {_sizes(own)} here"

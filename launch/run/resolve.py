@@ -15,7 +15,7 @@ from ..plan.keep import settled
 from ..supervise.standstill import Standstill
 from ..supervise.supervisor import die_with_parent
 
-_LOOK = 0.5  # seconds between two looks at who was asked
+_LOOK = 0.5  # seconds between two looks at the process that was asked
 
 # In a process of its own: importing torch takes seconds and memory that the launcher never needs.
 _ASK_ENGINE = """
@@ -69,7 +69,7 @@ def _usual_size(name: str, data_here: bool) -> int:
         if data_here:
             raise
         raise UserError(
-            f"{name} is not on this machine: say its size, --set dataset.transitions=N"
+            f"{name} is not on this machine: give its size, --set dataset.transitions=N"
         ) from None
 
 
@@ -118,5 +118,5 @@ def _heard(asked: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
             if why := standstill.look(time.monotonic()):
                 raise UserError(
                     f"cannot choose an engine: the process that was asked {why}; try again, or"
-                    " say it: --set engine.name=eager"
+                    " choose one: --set engine.name=eager"
                 ) from None

@@ -14,7 +14,7 @@ from otc_dist.datasets import inputs
 from otc_dist.datasets.card import FILE_NAME as CARD
 from otc_dist.envs import registry
 from otc_dist.system.processor import libraries
-from otc_dist.terminal.errors import UserError, told
+from otc_dist.terminal.errors import UserError, os_error_line
 from otc_dist.terminal.printable import say
 
 from ..plan import descriptions
@@ -43,7 +43,7 @@ FAREWELL = 30.0  # seconds that the learners may take to end after the host has
 def run_plan(plan: Plan, record: RunRecord) -> int:
     """Run `plan` from wherever its folder stands to its end. Returns the exit status.
 
-    0: finished; 1: a process died; 2: a process met a mistake that the user can mend;
+    0: finished; 1: a process died; 2: a process met a mistake that the user can fix;
     128 + n: stopped by signal n. In every case no process is left, and unless it finished,
     the way to go on is printed.
     """
@@ -82,9 +82,9 @@ def run_plan(plan: Plan, record: RunRecord) -> int:
         except OSError as error:
             with suppress(OSError):
                 ledger.enter("failed")
-            raise UserError(f"{told(error)}; {go_on}") from None
+            raise UserError(f"{os_error_line(error)}; {go_on}") from None
         except DiedError as died:
-            if not died.told:
+            if not died.explained:
                 _explain(died)
             mistake = died.end.status == MISTAKE
             if not (mistake and _gone(plan, record)):
@@ -108,7 +108,7 @@ def _close(plan: Plan, title: str) -> None:
     """Print the last lines of a run that is finished, whatever becomes of that."""
     try:
         show_summary(plan.folder)
-    except Exception as error:  # what they tell is in the report as well
+    except Exception as error:  # what they say is in the report as well
         print(f"{title}: finished ({type(error).__name__}: {error}); report: {plan.folder.report}")
 
 
@@ -152,7 +152,7 @@ def _do(
 def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, view: View) -> None:
     """Start all processes, and again those that die, and show them until all have ended well."""
     processes = RunProcesses(plan, supervisor)
-    board = Board(plan.watched, Remaining(plan.parts), processes.health.lives)
+    board = Board(plan.watched, Remaining(plan.parts), processes.health.of_process)
     signs: queue.SimpleQueue[Sign | Waiting] = queue.SimpleQueue()
     over: float | None = None  # when the host ended
     known = set[int]()  # processes whose libraries are noted
@@ -179,10 +179,10 @@ def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, v
                 processes.take(sign)
                 if isinstance(sign, Status):
                     board.take(sign, time.monotonic())
-                    life = processes.health.lives.get(sign.process)
-                    if life and life.pid not in known and sign.phase in TRAINING:
-                        known.add(life.pid)
-                        ledger.note_libraries(libraries(life.pid))
+                    process = processes.health.of_process.get(sign.process)
+                    if process and process.pid not in known and sign.phase in TRAINING:
+                        known.add(process.pid)
+                        ledger.note_libraries(libraries(process.pid))
             if signals.stop:
                 raise StoppedError
             finished = processes.look()

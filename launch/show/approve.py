@@ -1,4 +1,4 @@
-"""`launch approve RUN`: let the deployment begin that waits for a person."""
+"""`launch approve RUN`: let the deployment that waits for a person begin."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,7 +42,7 @@ def command_line() -> Parser:
     """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.launch approve",
-        description="Let the deployment begin for which a run waits (deployment.approve).",
+        description="Let the deployment that a run waits for begin (deployment.approve).",
         allow_abbrev=False,
     )
     parser.add_argument("run", type=Path, help="the run folder, on the machine of the env host")
@@ -57,15 +57,15 @@ def main(argv: list[str]) -> int:
     """
     folder = RunFolder(command_line().parse_args(argv).run.resolve())
     RunRecord.read(folder)  # a folder without a record is not a run's
-    told = waiting(folder)
-    if told is None:
-        raise UserError(f"{folder.root} waits for nobody now")
-    approval = folder.approval(told.deployment)
+    state = waiting(folder)
+    if state is None:
+        raise UserError(f"{folder.root} is not waiting for anyone now")
+    approval = folder.approval(state.deployment)
     try:
         approval.touch()
     except OSError as error:
         raise UserError(f"cannot write {approval}: {error.strerror}") from None
-    say(f"approved: deployment {told.deployment}, by policy {told.policy}")
+    say(f"approved: deployment {state.deployment}, by policy {state.policy}")
     return 0
 
 
@@ -83,13 +83,13 @@ def waiting(folder: RunFolder) -> Waiting | None:
 
 def waiting_lines(folder: RunFolder) -> list[str]:
     """For what it waits, with what is known of the policies, and how to let it begin."""
-    told = waiting(folder)
-    if told is None:
+    state = waiting(folder)
+    if state is None:
         return []
-    line, measured = f"waits for {told.waits_for}", told.measured
+    line, measured = f"waits for {state.waits_for}", state.measured
     if measured:
         found = plus_minus(measured.mean, measured.error)
         line += f"; deployment {measured.deployment} measured {found}"
-    if told.greedy_return is not None:
-        line += f"; its greedy return is {told.greedy_return:,.1f}"
+    if state.greedy_return is not None:
+        line += f"; its greedy return is {state.greedy_return:,.1f}"
     return [line, f"approve with: python -m otc_dist.launch approve {folder.root}"]

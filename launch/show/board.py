@@ -9,7 +9,7 @@ from otc_dist.description.distances import FITS
 from otc_dist.terminal.amounts import plus_minus
 
 from ..plan.forecast import Remaining
-from ..supervise.health import Life
+from ..supervise.health import ProcessHealth
 
 
 @dataclass
@@ -18,7 +18,9 @@ class Board:
 
     agents: tuple[str, ...]
     remaining: Remaining
-    lives: Mapping[str, Life] = field(default_factory=dict)  # of the processes started here
+    of_process: Mapping[str, ProcessHealth] = field(
+        default_factory=dict
+    )  # of the processes started here
     newest: dict[str, Status] = field(default_factory=dict)
     measures: dict[str, dict[str, float]] = field(default_factory=dict)  # agent -> last of each
     events: list[str] = field(default_factory=list)
@@ -34,7 +36,7 @@ class Board:
         }
         measures.update(status.metrics)
         if before is None or (before.phase, before.deployment) != (status.phase, status.deployment):
-            self.events.append(f"{status.process}: {place(status)}")
+            self.events.append(f"{status.process}: {describe_phase(status)}")
         if "alpha" in appeared:
             self.events.append(f"{status.process}: {alpha_line(measures)}")
         if "accepted" in appeared:
@@ -43,8 +45,10 @@ class Board:
             won = f", {measures['success']:.1f} % won" if "success" in measures else ""
             self.events.append(f"{status.process}: return {appeared['return']:.1f}{won}")
         if "measured" in appeared:
-            told = plus_minus(measures["measured"], measures["error"])
-            self.events.append(f"{status.process}: deployment {status.deployment} measured {told}")
+            measured = plus_minus(measures["measured"], measures["error"])
+            self.events.append(
+                f"{status.process}: deployment {status.deployment} measured {measured}"
+            )
         slowest = self._slowest()
         if slowest is None:
             self.seconds_left = None
@@ -75,7 +79,7 @@ class Board:
     @property
     def busy(self) -> list[Status]:
         """The statuses whose progress is worth a line: of the agents that train, or else of the
-        host once it has begun; that it waits, for whom or what, is an event and told once.
+        host once it has begun; that it waits, for whom or what, is an event and reported once.
         """
         training = [
             self.newest[name]
@@ -94,7 +98,7 @@ class Board:
 TRAINING = ("offline", *FITS, "tuning")
 
 
-def place(status: Status) -> str:
+def describe_phase(status: Status) -> str:
     """Where a process is: `tuning after deployment 2`, `offline`."""
     if status.phase == "tuning":
         return f"tuning after deployment {status.deployment}"

@@ -22,7 +22,7 @@ EVERY = 0.5  # seconds between two writings while nothing happens
 class ProcessState:
     """How one process is, and what it does."""
 
-    health: str  # see `health.Life`
+    health: str  # see `health.ProcessHealth`
     seconds: float  # in this state
     pid: int
     restarts: int
@@ -63,7 +63,7 @@ class SupervisionFile:
     def __init__(self, folder: RunFolder) -> None:
         self._path: Path = folder.supervision
         self._last = -EVERY
-        self._told: dict[str, State] = {}
+        self._written: dict[str, State] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -74,19 +74,22 @@ class SupervisionFile:
 
     def write(self, board: Board) -> None:
         """Replace the file in one step: at once if a process is in another state, else at times."""
-        now, told = time.monotonic(), {name: life.state for name, life in board.lives.items()}
-        if now - self._last < EVERY and told == self._told:
+        now, known = (
+            time.monotonic(),
+            {name: process.state for name, process in board.of_process.items()},
+        )
+        if now - self._last < EVERY and known == self._written:
             return
-        self._last, self._told = now, told
+        self._last, self._written = now, known
         states = {}
-        for name, life in board.lives.items():
+        for name, process in board.of_process.items():
             status = board.newest.get(name)
             states[name] = ProcessState(
-                health=life.state,
-                seconds=round(now - life.since, 1),
-                pid=life.pid,
-                restarts=life.restarts,
-                last_end=life.last_end,
+                health=process.state,
+                seconds=round(now - process.since, 1),
+                pid=process.pid,
+                restarts=process.restarts,
+                last_end=process.last_end,
                 phase=status.phase if status else "starting",
                 deployment=status.deployment if status else 0,
                 done=status.update if status else 0,

@@ -16,7 +16,7 @@ from otc_dist.terminal.printable import aligned, say
 from ..plan import run_record
 from ..plan.run_record import RunRecord
 from .approve import waiting, waiting_lines
-from .board import place
+from .board import describe_phase
 from .process_states import ProcessState, Supervision
 
 _LATE = 5.0  # seconds without a word of the launcher's, after which it is said
@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     supervision = Supervision.read(folder) if launched else None
     if arguments.json:
         awaited = waiting(folder) if launched else None
-        told = {
+        report = {
             "run": record.run,
             "state": state,
             "started": record.started,
@@ -59,7 +59,7 @@ def main(argv: list[str]) -> int:
             "waiting": awaited and asdict(awaited),
             "supervision": supervision and asdict(supervision),
         }
-        print(json.dumps(told, indent=1))
+        print(json.dumps(report, indent=1))
     else:
         say(*_lines(folder, state, supervision))
     return 0
@@ -71,7 +71,7 @@ def _launched(folder: RunFolder) -> bool:
     if held is not None:
         return held
     supervision = Supervision.read(folder)
-    # No lock tells. Before its processes are started, there is nothing that would.
+    # No lock says so. Before its processes are started, nothing would.
     return supervision is None or _silence(supervision) <= _LATE
 
 
@@ -83,7 +83,7 @@ def _silence(supervision: Supervision) -> float:
 def _lines(folder: RunFolder, state: str, supervision: Supervision | None) -> Iterator[str]:
     yield f"{folder.root}: {state}"
     if state in ("stopped", "failed", "interrupted"):
-        yield f"go on with: python -m otc_dist.launch --resume {folder.root}"
+        yield f"continue with: python -m otc_dist.launch --resume {folder.root}"
     if supervision is None:
         return
     yield from waiting_lines(folder)
@@ -96,7 +96,7 @@ def _lines(folder: RunFolder, state: str, supervision: Supervision | None) -> It
 
 def _table(processes: Mapping[str, ProcessState], width: int) -> Iterator[str]:
     """A line each, and below it how one ended that began again; in `width` characters, for which
-    the least telling columns are left out.
+    the least informative columns are left out.
     """
     states = list(processes.values())
     columns = {
@@ -104,7 +104,9 @@ def _table(processes: Mapping[str, ProcessState], width: int) -> Iterator[str]:
         "pid": [str(state.pid) for state in states],
         "health": [state.health for state in states],
         "restarts": [str(state.restarts) for state in states],
-        "does": [place(Status(name, s.phase, s.deployment)) for name, s in processes.items()],
+        "does": [
+            describe_phase(Status(name, s.phase, s.deployment)) for name, s in processes.items()
+        ],
         "done": [f"{s.done:,}/{s.of:,}" if s.of else "" for s in states],
     }
     if not any(state.restarts for state in states):

@@ -56,16 +56,16 @@ def _read(folder: RunFolder) -> dict[str, Any]:
     return found
 
 
-def _recommended(told: Mapping[str, Any]) -> str:
-    checkpoint = f"agents/*/checkpoint_{told['policy']:02d}.safetensors"
-    if told["deployment"] is None:
+def _recommended(recommended: Mapping[str, Any]) -> str:
+    checkpoint = f"agents/*/checkpoint_{recommended['policy']:02d}.safetensors"
+    if recommended["deployment"] is None:
         return f"recommended: the last tuned policy ({checkpoint}), which was not deployed"
-    line = f"recommended: the policy of deployment {told['deployment']} ({checkpoint})"
-    if told["mean"] is None:
+    line = f"recommended: the policy of deployment {recommended['deployment']} ({checkpoint})"
+    if recommended["mean"] is None:
         return line
     return (
-        f"{line}, measured {plus_minus(told['mean'], told['error'])} over the first"
-        f" {told['horizon']} steps of {told['episodes']} episodes"
+        f"{line}, measured {plus_minus(recommended['mean'], recommended['error'])} over the first"
+        f" {recommended['horizon']} steps of {recommended['episodes']} episodes"
     )
 
 

@@ -17,12 +17,12 @@ from otc_dist.terminal.amounts import duration
 from otc_dist.terminal.printable import printable, say
 from otc_dist.terminal.progress import redraws
 
-from ..supervise.health import Life
-from .board import Board, place
+from ..supervise.health import ProcessHealth
+from .board import Board, describe_phase
 
 LINE_EVERY = 5.0  # seconds between two progress lines without a terminal
 
-# What samplers tell, its column and its format.
+# What samplers report, its column and its format.
 _TOLD = (("alpha", "alpha", ".3f"), ("similarity", "𝔻", ".3f"), ("accepted", "accepted", ".1%"))
 _WIDEST = 1000  # characters that a table may want
 _WORDS = ("process", "health", "phase")  # headings of columns of words; all others are numbers
@@ -97,7 +97,7 @@ class LineView:
         if board.busy and now - self._last >= LINE_EVERY:
             self._last, before = now, self._said
             self._said = ", ".join(map(_progress, board.busy))
-            if self._said != before:  # nothing is told twice
+            if self._said != before:  # nothing is said twice
                 self.say(_progress_line(board))
 
 
@@ -126,7 +126,7 @@ class TableView:
         self._live.update(self._table(board), refresh=True)
 
     def _table(self, board: Board) -> Table:
-        """With as many columns as the terminal has room for: the least telling are left out."""
+        """With as many columns as the terminal has room for: the least informative are left out."""
         left = "" if board.seconds_left is None else duration(board.seconds_left)
         ran = duration(time.monotonic() - self._start)
         title = f"{self._title} · {ran} so far" + (f", {left} to go" if left else "")
@@ -151,8 +151,8 @@ def _columns(board: Board) -> dict[str, list[str]]:
     known = {name for measures in board.measures.values() for name in measures}
     columns = {
         "process": list(processes),
-        "health": [health(board.lives.get(process), now) for process in processes],
-        "phase": [place(status) for status in statuses],
+        "health": [health(board.of_process.get(process), now) for process in processes],
+        "phase": [describe_phase(status) for status in statuses],
         "done": [f"{s.update:,}/{s.total:,}" if s.total else "" for s in statuses],
         "rate /s": [f"{s.rate:,.0f}" if s.total else "" for s in statuses],
     }
@@ -163,24 +163,24 @@ def _columns(board: Board) -> dict[str, list[str]]:
     return columns
 
 
-def health(life: Life | None, clock: float) -> str:
+def health(process: ProcessHealth | None, clock: float) -> str:
     """How a process is, and how often it has been started again: `silent for 2 s, restarts 1`."""
-    if life is None:
+    if process is None:
         return ""
-    lasting = life.state in ("silent", "waiting")
-    told = f"{life.state} for {clock - life.since:.0f} s" if lasting else life.state
-    return told + (f", restarts {life.restarts}" if life.restarts else "")
+    lasting = process.state in ("silent", "waiting")
+    text = f"{process.state} for {clock - process.since:.0f} s" if lasting else process.state
+    return text + (f", restarts {process.restarts}" if process.restarts else "")
 
 
 def _progress(status: Status) -> str:
     done = f" {status.update:,}/{status.total:,}" if status.total else ""
-    return f"{status.process} {place(status)}{done}"
+    return f"{status.process} {describe_phase(status)}{done}"
 
 
 def _progress_line(board: Board) -> str:
-    told = [
+    text = [
         _progress(status) + (f" ({status.rate:,.0f}/s)" if status.rate else "")
         for status in board.busy
     ]
     left = "" if board.seconds_left is None else f" · {duration(board.seconds_left)} to go"
-    return " · ".join(told) + left
+    return " · ".join(text) + left

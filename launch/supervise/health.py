@@ -2,8 +2,8 @@
 
 A process that can no longer run (frozen, or its machine is cut off) loses its liveliness token
 with the lease of its link, 1.5 s. If it is also seen to use no processor time, it is frozen, and
-is to be killed. A process whose heartbeat goes on while its work does not is stuck. Whose work it
-is that is waited for, the env host tells: its own, or that of the agents that it names. Time in
+is to be killed. A process whose heartbeat goes on while its work does not is stuck. The env host
+says whose work is waited for: its own, or that of the agents that it names. Time in
 which a process was kept from running by others does not count: a busy machine makes nobody stuck.
 """
 
@@ -21,7 +21,9 @@ from .supervisor import End
 LIMIT = 5  # restarts of a process in a row that neither bring it further nor last
 LASTING = 60.0  # seconds
 FIRST_DELAY = 0.25  # seconds from a death to the restart; doubles with every restart in a row
-TELL_AFTER = 2.0  # seconds without a token after which it is said: a busy machine loses it for less
+REPORT_AFTER = (
+    2.0  # seconds without a token after which it is said: a busy machine loses it for less
+)
 FROZEN_AFTER = 3.0  # seconds without a token and without processor time
 LEAVING = 30.0  # seconds that a process may take to end when all is done
 _FRESH = 3.0  # seconds for which is believed whom the env host said it waits for
@@ -38,32 +40,33 @@ _WORKING = BUSY | {"deployment", "evaluation", "done"}
 
 
 @dataclass
-class Life:
+class ProcessHealth:
     """One process.
 
     state: "starting" (no token yet), "up", "silent" (its token went), "waiting" (to be started
         again), "ended" (well).
     since: clock at which it came into this state, seconds.
-    restarts: all of them; `vain`: those since it last got further than ever before, or lasted.
+    restarts: all of them; `futile_restarts`: those since it last got further than
+        ever before, or lasted.
     """
 
     state: State = "starting"
     since: float = 0.0
     pid: int = 0
-    born: float = 0.0  # clock at which this process was started
+    started_at: float = 0.0  # clock at which this process was started
     restarts: int = 0
-    vain: int = 0
+    futile_restarts: int = 0
     last_end: str = ""
     furthest: Position = (0, 0, 0)
     now: Status | None = None  # what it said last
     heard: float = 0.0  # clock at which it said it
     moved: float = 0.0  # clock at which it last said anything new of its work
     queued: float = 0.0  # seconds that it has waited for a processor, since it was started
-    excused: float = 0.0  # those since `moved`
-    condemned: str = ""  # why it was to be killed
+    excluded: float = 0.0  # those since `moved`
+    kill_reason: str = ""  # why it was to be killed
     idle_since: float = 0.0  # clock at which its processor time last changed, while silent
     processor: int = -1
-    told_silent: bool = False
+    reported_silent: bool = False
 
     @property
     def working(self) -> bool:
@@ -71,13 +74,13 @@ class Life:
         return self.now is None or (self.now.phase in _WORKING and not self.now.awaits)
 
     def enter(self, state: State, clock: float) -> None:
-        self.told_silent = self.told_silent and state == self.state
+        self.reported_silent = self.reported_silent and state == self.state
         self.state, self.since = state, clock
         self.idle_since, self.processor = clock, -1
 
 
 class Health:
-    """The lives of the processes that one launcher has started.
+    """The health of the processes that one launcher has started.
 
     Args:
         names: of the processes.
@@ -87,7 +90,7 @@ class Health:
     """
 
     def __init__(self, names: Iterable[str], stuck_after: float, host_is_router: bool) -> None:
-        self.lives = {name: Life() for name in names}
+        self.of_process = {name: ProcessHealth() for name in names}
         self._stuck_after, self._host_is_router = stuck_after, host_is_router
         self._linked, self._host_alive, self._over = False, False, False
         self._host: Status | None = None  # what the env host said last, wherever it runs
@@ -97,53 +100,53 @@ class Health:
         self.events: list[str] = []
 
     def started(self, name: str, pid: int, clock: float) -> None:
-        life = self.lives[name]
-        life.pid, life.born, life.moved, life.heard = pid, clock, clock, clock
-        life.now, life.condemned, life.queued, life.excused = None, "", 0.0, 0.0
-        life.enter("starting", clock)
+        process = self.of_process[name]
+        process.pid, process.started_at, process.moved, process.heard = pid, clock, clock, clock
+        process.now, process.kill_reason, process.queued, process.excluded = None, "", 0.0, 0.0
+        process.enter("starting", clock)
 
     def take_token(self, name: str, alive: bool, clock: float) -> None:
         """The token of a process appeared or went."""
         if name == HOST and alive and not self._host_alive:
-            self.forgive(clock)  # the centre of the bus was away
+            self.reset_deadlines(clock)  # the centre of the bus was away
         if name == HOST:
             self._host_alive = alive
-        life = self.lives.get(name)
-        if life is None:
+        process = self.of_process.get(name)
+        if process is None:
             return
-        if alive and life.state in ("starting", "silent"):
-            if life.told_silent:
+        if alive and process.state in ("starting", "silent"):
+            if process.reported_silent:
                 self.events.append(f"{name}: is back")
-            life.enter("up", clock)
-        elif not alive and life.state == "up":
-            life.enter("silent", clock)
+            process.enter("up", clock)
+        elif not alive and process.state == "up":
+            process.enter("silent", clock)
 
     def take_link(self, linked: bool, clock: float) -> None:
         """The launcher's own link to the bus came or went."""
         self._linked = linked
-        self.forgive(clock)
+        self.reset_deadlines(clock)
 
-    def forgive(self, clock: float) -> None:
+    def reset_deadlines(self, clock: float) -> None:
         """Count silence and standstill from now on: nothing could be heard until now."""
-        for life in self.lives.values():
-            life.moved = life.heard = clock
-            if life.state == "silent":
-                life.enter("silent", clock)
+        for process in self.of_process.values():
+            process.moved = process.heard = clock
+            if process.state == "silent":
+                process.enter("silent", clock)
 
     def take(self, status: Status, clock: float) -> None:
         """A process said what it does."""
         if status.process == HOST:
             self._over = status.phase == "done"
             self._take_host(status, clock)
-        life = self.lives.get(status.process)
-        if life is None:
+        process = self.of_process.get(status.process)
+        if process is None:
             return
-        if life.now is None or _work(status) != _work(life.now):
-            life.moved, life.excused = clock, 0.0
-        life.now, life.heard = status, clock
+        if process.now is None or _work(status) != _work(process.now):
+            process.moved, process.excluded = clock, 0.0
+        process.now, process.heard = status, clock
         position = (status.deployment, _RANK.get(status.phase, 0), status.update)
-        if position > life.furthest:
-            life.furthest, life.vain = position, 0
+        if position > process.furthest:
+            process.furthest, process.futile_restarts = position, 0
 
     def _take_host(self, status: Status, clock: float) -> None:
         """Note for whom the env host waits, and since when with this very question."""
@@ -155,28 +158,28 @@ class Health:
 
     def died(self, end: End, clock: float) -> float | None:
         """Seconds until it is to be started again; None if that has been tried often enough."""
-        life = self.lives[end.process]
-        life.last_end = end.manner
-        if life.condemned:
-            life.last_end += f", since it {life.condemned}"
-        if life.moved - life.born >= LASTING:  # not if it only waited for so long
-            life.vain = 0
-        if life.vain == LIMIT:
+        process = self.of_process[end.process]
+        process.last_end = end.manner
+        if process.kill_reason:
+            process.last_end += f", since it {process.kill_reason}"
+        if process.moved - process.started_at >= LASTING:  # not if it only waited for so long
+            process.futile_restarts = 0
+        if process.futile_restarts == LIMIT:
             return None
-        delay: float = FIRST_DELAY * 2**life.vain
-        life.vain += 1
-        life.restarts += 1
-        life.enter("waiting", clock)
-        said = "" if life.condemned else "".join(f" ({line})" for line in end.last_lines(1))
+        delay: float = FIRST_DELAY * 2**process.futile_restarts
+        process.futile_restarts += 1
+        process.restarts += 1
+        process.enter("waiting", clock)
+        said = "" if process.kill_reason else "".join(f" ({line})" for line in end.last_lines(1))
         self.events.append(
-            f"{end.process}: {life.last_end}{said}; starts again in {delay:g} s"
-            f" ({life.vain} of {LIMIT})"
+            f"{end.process}: {process.last_end}{said}; starts again in {delay:g} s"
+            f" ({process.futile_restarts} of {LIMIT})"
         )
         return delay
 
     def ended(self, name: str, clock: float) -> None:
         """It has ended well."""
-        self.lives[name].enter("ended", clock)
+        self.of_process[name].enter("ended", clock)
 
     def lost(
         self,
@@ -192,55 +195,55 @@ class Health:
             queued: seconds that its main thread has waited for a processor; 0 if that is not known.
         """
         found = {}
-        for name, life in self.lives.items():
-            self._excuse(name, life, clock, queued(life.pid))
-            if self._worth_telling(name, life, clock):
-                life.told_silent = True
+        for name, process in self.of_process.items():
+            self._exclude_waiting(name, process, clock, queued(process.pid))
+            if self._worth_reporting(name, process, clock):
+                process.reported_silent = True
                 self.events.append(f"{name}: is silent")
-            if life.state == "silent" and self._judged(name):
-                used = processor_time(life.pid)
-                if used is not None and used != life.processor:
-                    life.idle_since, life.processor = clock, used
-                elif clock - life.idle_since >= FROZEN_AFTER:
+            if process.state == "silent" and self._judged(name):
+                used = processor_time(process.pid)
+                if used is not None and used != process.processor:
+                    process.idle_since, process.processor = clock, used
+                elif clock - process.idle_since >= FROZEN_AFTER:
                     found[name] = "is frozen"
-            elif life.state in ("starting", "up") and (why := self._stuck(name, life, clock)):
+            elif process.state in ("starting", "up") and (why := self._stuck(name, process, clock)):
                 found[name] = why
-        for name in [name for name in found if self.lives[name].condemned]:
+        for name in [name for name in found if self.of_process[name].kill_reason]:
             del found[name]  # it is being killed already
         for name, why in found.items():
-            self.lives[name].condemned = why
+            self.of_process[name].kill_reason = why
         return found
 
     def cut_off(self, why: str) -> dict[str, str]:
         """The env host, as in `lost`, where nobody can come to it any more while it serves.
 
-        Links that are there hold, but who starts again would find nobody.
+        Existing links hold, but a process that starts again would find nobody.
         """
-        life = self.lives[HOST]
-        done = life.now is not None and life.now.phase == "done"
-        if life.state != "up" or done or life.condemned:
+        process = self.of_process[HOST]
+        done = process.now is not None and process.now.phase == "done"
+        if process.state != "up" or done or process.kill_reason:
             return {}
-        life.condemned = why
+        process.kill_reason = why
         return {HOST: why}
 
-    def _worth_telling(self, name: str, life: Life, clock: float) -> bool:
+    def _worth_reporting(self, name: str, process: ProcessHealth, clock: float) -> bool:
         """Whether its silence lasts, is its own, and is not that of a run which is over: then all
         take their tokens with them a moment before their ends show.
         """
-        lasts = life.state == "silent" and clock - life.since >= TELL_AFTER
-        over = self._over or (life.now is not None and life.now.phase == "done")
-        return lasts and not life.told_silent and not over and self._judged(name)
+        lasts = process.state == "silent" and clock - process.since >= REPORT_AFTER
+        over = self._over or (process.now is not None and process.now.phase == "done")
+        return lasts and not process.reported_silent and not over and self._judged(name)
 
-    def _stuck(self, name: str, life: Life, clock: float) -> str:
+    def _stuck(self, name: str, process: ProcessHealth, clock: float) -> str:
         """What a process that can run has failed to do for too long; empty: nothing."""
-        after, still = self._stuck_after, clock - life.moved - life.excused
+        after, still = self._stuck_after, clock - process.moved - process.excluded
         if not self._linked:  # nothing can be heard; where the env host is to carry that, it is due
-            due = name == HOST and self._host_is_router and life.state == "starting"
+            due = name == HOST and self._host_is_router and process.state == "starting"
             return f"has not come for {after:g} s" if due and still >= after else ""
-        if clock - life.heard - life.excused >= after:
+        if clock - process.heard - process.excluded >= after:
             return f"has said nothing for {after:g} s"
-        if life.working:
-            if life.now is not None and life.now.phase == "done":
+        if process.working:
+            if process.now is not None and process.now.phase == "done":
                 after = max(after, LEAVING)
             return f"has made no progress for {after:g} s" if still >= after else ""
         since = self._awaited.get(name)
@@ -250,11 +253,13 @@ class Health:
             return ""
         return f"has given the env host no answer for {after:g} s{self._refusals()}"
 
-    def _excuse(self, name: str, life: Life, clock: float, queued: float) -> None:
+    def _exclude_waiting(
+        self, name: str, process: ProcessHealth, clock: float, queued: float
+    ) -> None:
         """Do not count against a process the time in which others kept it from running."""
-        more = max(0.0, queued - life.queued)
-        life.queued = queued
-        life.excused += more
+        more = max(0.0, queued - process.queued)
+        process.queued = queued
+        process.excluded += more
         if name in self._awaited:
             self._awaited[name] = min(clock, self._awaited[name] + more)
 
@@ -263,8 +268,8 @@ class Health:
         assert self._host is not None
         now = _rejected(self._host)
         grown = {name: n - self._rejected.get(name, 0.0) for name, n in now.items()}
-        told = ", ".join(f"{name} {n:.0f}" for name, n in grown.items() if n > 0)
-        return f" that it could take ({told} rejected)" if told else ""
+        counts = ", ".join(f"{name} {n:.0f}" for name, n in grown.items() if n > 0)
+        return f" that it could take ({counts} rejected)" if counts else ""
 
     def _judged(self, name: str) -> bool:
         """Whether a missing token speaks of the process, not of the way to it."""

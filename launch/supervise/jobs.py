@@ -16,7 +16,7 @@ from .supervisor import End, Supervisor
 
 LOOK_EVERY = 0.5  # seconds between two looks at the processes
 LINE_EVERY = 30.0  # seconds between two progress lines
-TELL_EVERY = 1.0  # seconds between two lines of a job
+LINE_OF_JOB_EVERY = 1.0  # seconds between two lines of a job
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class FailedError(Exception):
 
 
 @dataclass
-class _Going:
+class _RunningJob:
     """A job at work."""
 
     job: Job
@@ -81,7 +81,7 @@ def run_jobs(
         StoppedError: a signal came; all were stopped.
     """
     waiting = [job for job in jobs if not job.done]
-    running: dict[str, _Going] = {}
+    running: dict[str, _RunningJob] = {}
     restarts = Counter[str]()
     clock = _Clock(sum(job.seconds for job in waiting), workers)
     with Signals() as signals, Supervisor(signals) as supervisor:
@@ -93,16 +93,16 @@ def run_jobs(
                 job.output.unlink(missing_ok=True)
                 supervisor.start(job.name, job.command, job.output)
                 watched = Standstill(supervisor.pid(job.name), patience)
-                running[job.name] = _Going(job, watched, time.monotonic())
+                running[job.name] = _RunningJob(job, watched, time.monotonic())
             signals.wait(LOOK_EVERY)
             if signals.stop:
                 raise StoppedError(128 + signals.stop, signals.stop.name)
             for end in supervisor.ended():
-                going = running.pop(end.process)
-                job = going.job
+                running_job = running.pop(end.process)
+                job = running_job.job
                 if end.status < 0 and restarts[job.name] < LIMIT:
                     restarts[job.name] += 1
-                    how = end.manner + (f", since it {going.why}" if going.why else "")
+                    how = end.manner + (f", since it {running_job.why}" if running_job.why else "")
                     again = f"starts again ({restarts[job.name]} of {LIMIT})"
                     print(f"{job.name}: {how}; {again}", flush=True)
                     waiting.insert(0, job)
@@ -110,17 +110,17 @@ def run_jobs(
                 if end.status != 0 or not job.done:
                     raise FailedError(job, end)
                 clock.add(job.seconds)
-                took = duration(time.monotonic() - going.started)
+                took = duration(time.monotonic() - running_job.started)
                 print(f"{job.name}: done in {took}", flush=True)
                 finished(job)
-            for name, going in running.items():
-                if not going.why and (why := going.watched.look(time.monotonic())):
-                    going.why = why
+            for name, running_job in running.items():
+                if not running_job.why and (why := running_job.watched.look(time.monotonic())):
+                    running_job.why = why
                     supervisor.kill(name)
-            clock.show(going.job for going in running.values())
+            clock.show(running_job.job for running_job in running.values())
 
 
-class Teller:
+class ProgressLines:
     """What a job prints: `0.25 where it stands`, now and then, for `run_jobs` to read."""
 
     def __init__(self) -> None:
@@ -128,13 +128,13 @@ class Teller:
 
     def __call__(self, share: float, where: str) -> None:
         now = time.monotonic()
-        if now - self._last >= TELL_EVERY:
+        if now - self._last >= LINE_OF_JOB_EVERY:
             self._last = now
             print(f"{share:.4f} {where}", flush=True)
 
 
-def _told(job: Job) -> tuple[float, str]:
-    """The newest line that a job told: share done, and where it stands."""
+def _progress(job: Job) -> tuple[float, str]:
+    """The newest progress line of a job: share done, and where it stands."""
     try:
         with job.output.open("rb") as file:
             file.seek(max(0, job.output.stat().st_size - 1000))
@@ -166,12 +166,12 @@ class _Clock:
         if now - self._shown < LINE_EVERY:
             return
         self._shown = now
-        told = [(job, *_told(job)) for job in running]
-        done = self._done + sum(job.seconds * share for job, share, _ in told)
+        newest = [(job, *_progress(job)) for job in running]
+        done = self._done + sum(job.seconds * share for job, share, _ in newest)
         # Trust the forecasts until some seconds have shown how this machine compares with them.
         slower = ((now - self._start) * self._workers + 60) / (done + 60)
         left = duration((self._total - done) * slower / self._workers)
-        lines = [f"{job.name}: {where}" for job, _, where in told]
+        lines = [f"{job.name}: {where}" for job, _, where in newest]
         print(f"{' · '.join(lines)} · about {left} to go", flush=True)
 
 

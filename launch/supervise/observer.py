@@ -20,7 +20,7 @@ from ..plan.plan import Plan
 _PATIENCE = 2.0  # seconds of an attempt to connect
 _FAREWELL = 5.0  # seconds; a session closes within two
 _LOOK = 0.2  # seconds between two looks at whether there is a link to the bus
-TELL_EVERY = 30.0  # seconds without a link, or without the env host, between lines that say so
+REPORT_EVERY = 30.0  # seconds without a link, or without the env host, between lines that say so
 
 
 class Token(NamedTuple):
@@ -104,16 +104,16 @@ def _listen(
     def noting(process: str) -> Callable[[bool], None]:
         return lambda alive: take(Token(process, alive))
 
-    told = time.monotonic()  # the launcher has said at its start who is missing
+    reported = time.monotonic()  # the launcher has said at its start who is missing
     alive = threading.Event()  # whether the env host's token is there
 
     def note_host(is_alive: bool) -> None:
         (alive.set if is_alive else alive.clear)()
         take(Token(HOST, is_alive))
 
-    def tell(linked: bool) -> float:
-        if not plan.placement.connect or time.monotonic() < told + TELL_EVERY:
-            return told
+    def report_waiting(linked: bool) -> float:
+        if not plan.placement.connect or time.monotonic() < reported + REPORT_EVERY:
+            return reported
         there = f"waiting for {endpoint.locator}: somebody is there, but no link comes about"
         take(Waiting(_stranger(endpoint, run) if linked else absence(endpoint) or there))
         return time.monotonic()
@@ -125,7 +125,7 @@ def _listen(
             socket = local_socket(endpoint.locator)
             session = Session.connect(endpoint, maximum, timeout=_PATIENCE)
         except UserError:
-            told = tell(linked=False)  # nobody listens yet
+            reported = report_waiting(linked=False)  # nobody listens yet
             continue
         with session:
             StatusBoard(session, keys, processes, Rejections(), take)
@@ -140,4 +140,4 @@ def _listen(
                 if not linked and socket is not None and not socket.exists():
                     break
                 met = linked and (alive.is_set() or plan.placement.role != "learner")
-                told = time.monotonic() if met else tell(linked)
+                reported = time.monotonic() if met else report_waiting(linked)

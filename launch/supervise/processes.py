@@ -12,7 +12,7 @@ from .observer import Link, Sign, Token
 from .supervisor import End, Supervisor
 
 CLOSING = 5.0  # seconds: an env host that ends takes its socket with it before its end shows
-MISTAKE = 2  # exit status of a process that met what only the user can mend
+MISTAKE = 2  # exit status of a process that met what only the user can fix
 
 
 class DiedError(Exception):
@@ -20,12 +20,12 @@ class DiedError(Exception):
 
     Attributes:
         manner: how it ended, in words.
-        told: the user has seen the line in which the process itself said why.
+        explained: the user has seen the line in which the process itself said why.
     """
 
-    def __init__(self, end: End, manner: str, restarts: int = 0, told: bool = False) -> None:
+    def __init__(self, end: End, manner: str, restarts: int = 0, explained: bool = False) -> None:
         super().__init__(end.process)
-        self.end, self.manner, self.restarts, self.told = end, manner, restarts, told
+        self.end, self.manner, self.restarts, self.explained = end, manner, restarts, explained
 
 
 class RunProcesses:
@@ -61,7 +61,7 @@ class RunProcesses:
             self.health.started(name, self._supervisor.pid(name), now)
 
     def _find_socket(self) -> None:
-        """Where the env host will listen; who was elsewhere finds it there, started again."""
+        """Where the env host will listen; a process that looks elsewhere is started again."""
         before, self._socket = (
             self._socket,
             self._plan.placement.local_socket(self._plan.folder.root),
@@ -86,14 +86,14 @@ class RunProcesses:
             self.health.take(sign, now)
 
     def look(self) -> set[str]:
-        """Kill what is lost, and arrange for what died to start again; who has ended well.
+        """Kill what is lost, arrange for what died to start again; returns what has ended well.
 
         Raises:
-            DiedError: a process met a mistake that the user must mend, or died too often.
+            DiedError: a process met a mistake that the user must fix, or died too often.
         """
         now = time.monotonic()
         if now - self._looked > FROZEN_AFTER:  # it was the launcher that was frozen
-            self.health.forgive(now)
+            self.health.reset_deadlines(now)
         self._looked = now
         for end in self._supervisor.ended():
             # A learner has nothing left to do once the host has ended well.
@@ -121,8 +121,8 @@ class RunProcesses:
     def _start_again(self, end: End, now: float) -> None:
         delay = None if end.status == MISTAKE else self.health.died(end, now)
         if delay is None:
-            life = self.health.lives[end.process]
-            raise DiedError(end, life.last_end or end.manner, life.vain)
+            process = self.health.of_process[end.process]
+            raise DiedError(end, process.last_end or end.manner, process.futile_restarts)
         self._due[end.process] = now + delay
         if end.process == HOST:  # it will ask those that had left already once more
             self._due |= dict.fromkeys(self._finished, now + delay)

@@ -11,7 +11,7 @@ class Standstill:
     """Watches the group of a process: it, and what it has started.
 
     It stands still while none of their threads has run or waited for a processor. Where the kernel
-    does not tell, nothing is found.
+    does not say, nothing is found.
 
     Args:
         leader: the process id of the group's leader.

@@ -84,7 +84,7 @@ class Supervisor:
     ) -> None:
         """Start a process; what it prints is appended to `output` (None: shown as it comes).
 
-        `show_errors`: its standard error, where progress is told, is shown as it comes.
+        `show_errors`: its standard error, where progress is reported, is shown as it comes.
 
         Must be called from the main thread: the kernel's death signal is tied to the thread.
         """

@@ -63,7 +63,7 @@ def td_target(batch: Batch, discount: float, next_values: Tensor) -> Tensor:
 
 
 class ActorCriticSettings(Protocol):
-    """What an `ActorCritic` must be told; the section of each algorithm has it."""
+    """What an `ActorCritic` must be given; the section of each algorithm has it."""
 
     @property
     def hidden(self) -> tuple[int, ...]: ...

@@ -1,4 +1,4 @@
-"""What may stand for a machine, in an endpoint, in a certificate or behind `ssh`."""
+"""What may stand for a machine, in an endpoint, in a certificate or after `ssh`."""
 
 import ipaddress
 import re
@@ -26,7 +26,7 @@ def in_brackets(host: str) -> str:
 
 
 def _is_address(text: str) -> bool:
-    if "%" in text:  # the zone behind it is anything, and means something on one machine only
+    if "%" in text:  # the zone after it is anything, and means something only on one machine
         return False
     try:
         ipaddress.ip_address(text)

@@ -4,7 +4,7 @@
     answer    [version, run, agent, phase, deployment, epoch, step, actions, policy]
 
 A message is a msgpack array, with numbers and lengths always as wide, so every field has its
-place. What is right is recognised by comparing bytes; only what is not is unpacked, to tell
+place. What is right is recognised by comparing bytes; only what is not is unpacked, to say
 what is wrong with it. This happens eight times a lock-step, mostly in processes that have just
 been woken, with cold caches: few operations count.
 """
@@ -33,7 +33,7 @@ from otc_dist.transitions import Float32, all_finite
 POLICY_DIGEST_LENGTH = 16
 _QUESTION, _ANSWER = 8, 9  # fields
 
-# deployment, epoch, step and the arrays' length, each behind its marker
+# deployment, epoch, step and the arrays' length, each after its marker
 _NUMBERS = struct.Struct(">BIBIBIBI")
 _UINT32, _BINARY = 0xCE, 0xC6
 _DIGEST = bytes([0xA0 | POLICY_DIGEST_LENGTH])  # marker of a text of this length
@@ -98,7 +98,7 @@ class AgentCodec:
     def encode_action(self, message: Action) -> bytes:
         moment, actions, policy = message
         if len(policy) != POLICY_DIGEST_LENGTH:
-            raise ValueError(f"{policy!r} is no policy digest")
+            raise ValueError(f"{policy!r} is not a policy digest")
         body = b"" if actions is None else raw(actions)
         return self._answer.encode(moment, body) + _DIGEST + policy.encode()
 
@@ -121,7 +121,7 @@ class _Frame:
 
     Args:
         count: of all fields.
-        tail: bytes behind the arrays.
+        tail: bytes after the arrays.
     """
 
     def __init__(self, run: str, agent: str, count: int, tail: int) -> None:

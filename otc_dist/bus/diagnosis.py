@@ -33,7 +33,9 @@ def refusal(endpoint: Endpoint) -> str | None:
     if not endpoint.locator.startswith(TLS):
         check = _of_plain
     elif is_ipv6(address[0]):  # its TLS takes the brackets for a part of the name (Zenoh 1.10)
-        return f"{endpoint.locator}: Zenoh links to no IPv6 address by TLS; connect to a name of it"
+        return (
+            f"{endpoint.locator}: Zenoh does not link to IPv6 addresses by TLS; connect to a name"
+        )
     else:
         check = _of_tls
     try:
@@ -50,7 +52,7 @@ def absence(endpoint: Endpoint) -> str | None:
     try:
         socket.create_connection(address, _PATIENCE).close()
     except socket.gaierror:
-        reason = f"this machine knows no {address[0]}; check the name"
+        reason = f"this machine does not know {address[0]}; check the name"
     except OSError:
         reason = (
             "nobody answers there yet; start the env host (or the router), or check the address"

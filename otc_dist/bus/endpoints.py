@@ -67,7 +67,7 @@ def parse_endpoint(locator: str, process: str, certs: Path | None, insecure: boo
     if not insecure:
         raise UserError(
             f"{locator} is open to everybody who can reach it: use tls/{rest} with --certs DIR,"
-            " or say --insecure"
+            " or use --insecure"
         )
     return Endpoint(locator)
 
@@ -124,7 +124,7 @@ def _unfit(folder: Path) -> str:
             folder.chmod(0o700)  # whatever the umask
         status = folder.lstat()
         theirs = status.st_uid != os.getuid()
-        if theirs and folder.name == _FOLDER:  # who reads another's run has a bus of his own
+        if theirs and folder.name == _FOLDER:  # a reader of another's run has a bus of its own
             return "it is somebody else's"
         # Bits beyond these may be inherited, as the setgid bit is.
         if (
@@ -140,7 +140,7 @@ def _unfit(folder: Path) -> str:
             path = folder / f"{threading.get_native_id()}"
             probe.bind(str(path))
             path.unlink()
-        with path.open("wb") as file:  # who listens holds a lock on a file beside the socket
+        with path.open("wb") as file:  # a listener holds a lock on a file beside the socket
             locked = locks.held(file.fileno()) is not None
         path.unlink()
         if not locked:

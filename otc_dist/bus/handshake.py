@@ -51,13 +51,13 @@ def agree(
 
     Args:
         shared: at a router, where an env host of another description may be that of another run:
-            it is told of, and the right one is waited for.
+            it is logged, and the right one is waited for.
 
     Raises:
         UserError: no env host of this run within `deadline` seconds, another protocol version,
             or another environment or description.
     """
-    end, reason, told = time.monotonic() + deadline, "", ""
+    end, reason, logged = time.monotonic() + deadline, "", ""
     while True:
         other: RunSpec | None = None
         for reply in session.ask_all(keys.spec, timeout=1.0):
@@ -76,8 +76,8 @@ def agree(
             reason = f": {_difference(other, mine)}"
             if not shared:
                 raise UserError(_difference(other, mine))
-            if reason != told:
-                told = reason
+            if reason != logged:
+                logged = reason
                 log.warning("%s; waiting for ours", _difference(other, mine))
         if time.monotonic() > end:
             raise UserError(

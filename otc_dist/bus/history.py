@@ -24,7 +24,7 @@ class History:
     """Fetches transitions of one agent.
 
     Args:
-        copies: E, transitions a step.
+        copies: E, transitions per step.
         deadline: seconds without a new page after which `fetch` gives up.
     """
 

@@ -65,7 +65,9 @@ class Identity:
         except OSError as error:
             raise UserError(f"cannot read {path}: {error.strerror}") from None
         except (ValueError, TypeError):
-            raise UserError(f"{path} is damaged or no PEM file without password; {_MAKE}") from None
+            raise UserError(
+                f"{path} is damaged or not a PEM file without password; {_MAKE}"
+            ) from None
         if common_name(certificate) != process:
             raise UserError(
                 f"{self.certificate} is {common_name(certificate)}'s certificate, not {process}'s"

@@ -10,7 +10,7 @@ otc/{run}/host/spec    query by learners: agents, sizes, protocol version, descr
 
 {description} is the digest of what env host and learners must agree on. So runs of one name but of
 other settings never hear each other, though they meet at one router; and since it is no part of the
-spec's key, a learner is told when it was given other settings than the env host.
+spec's key, a learner learns that it was given other settings than the env host.
 """
 
 import re
@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 HOST = "host"  # the env host's process name; the learners' are their agents' names
-OBSERVER = "observer"  # whoever only looks: the launcher
+OBSERVER = "observer"  # a process that only observes: the launcher
 ANY = "*"  # in place of a description's digest, in rules for runs of any
 
 

@@ -84,7 +84,7 @@ class HostLockstep:
         asked = time.monotonic()
         repeat, next_repeat = _FIRST_REPEAT, asked + _FIRST_REPEAT
         answers: dict[int, Action] = {}
-        # One agent after the other, who was asked last first: meanwhile the others' answers
+        # One agent after the other, the one asked last first: meanwhile the others' answers
         # gather in their inboxes, and this process is not woken for each.
         for index in reversed(range(len(payloads))):
             while index not in answers:
@@ -129,7 +129,7 @@ class HostLockstep:
             raise RejectedError(
                 "unavailable",
                 f"{agent.name} cannot take action {answer.actions[copy, 0]:g} in copy {copy}"
-                f" ({_place(moment)})",
+                f" ({_describe(moment)})",
             )
         except RejectedError as rejected:
             self._rejections.count(rejected)
@@ -141,9 +141,9 @@ class HostLockstep:
         # Not by what it says now: its answer may still be on the way when it is ready.
         sign = max(asked, self._board.heard_busy(agent), self._changed(agent))
         if time.monotonic() - sign > self._deadline:
-            state = f"it says {newest.phase!r}" if newest else "it was never heard of"
+            state = f"it says {newest.phase!r}" if newest else "it was never heard from"
             raise GaveUpError(
-                f"no answer from {agent} for {self._deadline:g} s ({state}) to {_place(moment)}"
+                f"no answer from {agent} for {self._deadline:g} s ({state}) to {_describe(moment)}"
                 f"{self._rejection_hint()}"
             )
 
@@ -155,7 +155,7 @@ class HostLockstep:
         return f"; rejected messages: {listed}"
 
 
-def _place(moment: Moment) -> str:
+def _describe(moment: Moment) -> str:
     return f"{moment.phase} {moment.deployment}, step {moment.step}"
 
 
@@ -181,7 +181,7 @@ class LearnerLockstep:
     def question(self, timeout: float) -> Observation | None:
         """The newest question that waits; None if none comes within `timeout` seconds.
 
-        Questions that the run has left behind (an older epoch, an earlier moment) are rejected; the
+        Questions that the run has passed (an older epoch, an earlier moment) are rejected; the
         same moment is given again when it is asked again.
         """
         newest: Observation | None = None

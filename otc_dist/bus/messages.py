@@ -96,7 +96,7 @@ class Status:
     awaits: of the env host, the agents without whose answers it does not go on; while there are
         none, it is the env host that works.
     start, beat: a number drawn when the process started, and how many statuses it has sent since:
-        one that was recorded and is sent again is told from a sign of life, whatever the clocks.
+        one that was recorded and is sent again is no sign of life, whatever the clocks say.
     """
 
     process: str

@@ -43,11 +43,11 @@ class Presence:
         Raises:
             GaveUpError: somebody has not come for `patience` seconds.
         """
-        end, told = time.monotonic() + patience, ""
+        end, logged = time.monotonic() + patience, ""
         with self._changed:
             while missing := ", ".join(a for a in self._agents if a not in self._present):
-                if missing != told:
-                    told = missing
+                if missing != logged:
+                    logged = missing
                     log.info("waiting for %s", missing)
                 if not self._changed.wait(end - time.monotonic()):
                     raise GaveUpError(f"waited {patience:g} s for {missing} to come")

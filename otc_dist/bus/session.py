@@ -21,15 +21,15 @@ Query = Callable[[Mapping[str, str]], bytes]
 INBOX_SIZE = 256  # messages
 _WAKE_PERIOD = 0.05  # seconds
 _ATTEMPT = 1.0  # seconds until it is asked why a link does not come about; then doubles, up to
-_LONGEST_ATTEMPT = 4.0  # so that who comes late and refuses is told of as soon
+_LONGEST_ATTEMPT = 4.0  # so that a refusal by a late listener is reported as soon
 
 
 class Inbox:
     """What was published on a key, waiting for the thread that works; the newest 256 messages.
 
     Waiting happens inside Zenoh, without Python's lock, so that a message wakes one thread only.
-    It has no timeout there; instead the session wakes who waits, every 50 ms, by an empty message
-    of its own. So empty messages are no messages, whoever sends them.
+    It has no timeout there; instead the session wakes all that wait, every 50 ms, by an empty one
+    of its own. So empty messages are no messages, from any sender.
     """
 
     def __init__(self, subscriber: Any, wake: Put) -> None:
@@ -100,7 +100,7 @@ class Session:
             return cls(zenoh.open(configuration("router", maximum_payload, settings)))
         except zenoh.ZError as error:
             raise UserError(
-                f"cannot listen on {' or '.join(locators)}: it is in use, not permitted or no"
+                f"cannot listen on {' or '.join(locators)}: it is in use, not permitted or not an"
                 f" endpoint ({_first_line(error)})"
             ) from None
 

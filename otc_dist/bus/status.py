@@ -1,4 +1,4 @@
-"""Signs of life: each process says twice a second what it does; who cares keeps the newest."""
+"""Signs of life: each process says twice a second what it does; any listener keeps the newest."""
 
 import math
 import secrets
@@ -51,8 +51,10 @@ class Heartbeat:
             status = self._describe()
             metrics = {**status.metrics, **self._rejections.as_metrics()}
             self._beats += 1
-            told = replace(status, rate=self._rate(status), metrics=metrics)
-            self._put(encode_status(self._run, replace(told, start=self._start, beat=self._beats)))
+            newest = replace(status, rate=self._rate(status), metrics=metrics)
+            self._put(
+                encode_status(self._run, replace(newest, start=self._start, beat=self._beats))
+            )
 
     def _rate(self, status: Status) -> float:
         """Updates a second since the last measurement in the same phase."""

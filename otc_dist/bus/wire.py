@@ -42,7 +42,7 @@ class Rejections:
         with self._lock:
             self._counts[rejected.reason] += 1
             first = self._counts[rejected.reason] == 1
-        if first and str(rejected) != rejected.reason:  # it is told in more than a word
+        if first and str(rejected) != rejected.reason:  # it is described in more than a word
             log.warning("rejected a message: %s", rejected)
 
     def __getitem__(self, reason: str) -> int:

@@ -27,12 +27,12 @@ examples:
 
 
 def main(argv: list[str]) -> int:
-    """Make certificates. Raises UserError for what the user can mend."""
+    """Make certificates. Raises UserError for what the user can fix."""
     parser = command_line()
     arguments = parser.parse_args(argv)
     if arguments.rules:
         if not is_name(arguments.rules):
-            raise UserError(f"--rules {arguments.rules!r}: that is no run's name")
+            raise UserError(f"--rules {arguments.rules!r}is not a valid run name")
         for name, flag in parser.given(arguments).items():
             if name not in ("folder", "agents", "rules"):
                 raise UserError(f"{flag} is for certificates, and --rules makes none: leave it out")
@@ -56,7 +56,7 @@ def command_line() -> Parser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("folder", type=Path, metavar="DIR", help="where they lie, or will lie")
+    parser.add_argument("folder", type=Path, metavar="DIR", help="where they are, or will be")
     parser.add_argument(
         "--agents", type=int, required=True, metavar="N", help="learners: agent_0 .. agent_(N-1)"
     )

@@ -25,7 +25,7 @@ from otc_dist.system import durable
 from otc_dist.terminal.errors import UserError
 
 _AUTHORITY_FOLDER = "authority"
-_EARLIER = timedelta(days=1)  # valid since: other hosts' clocks may be behind
+_EARLIER = timedelta(days=1)  # valid since: other hosts' clocks may be slow
 _AUTHORITY_YEARS = 10
 _RENEW = timedelta(days=14)  # before the end
 

@@ -43,7 +43,7 @@ def write_again(found: RunFolder) -> Path:
     try:
         before = records.read_json(_Before, folder.results)
     except FileNotFoundError:
-        raise UserError(f"{root}: no seed is complete yet; launch compare goes on") from None
+        raise UserError(f"{root}: no seed is complete yet; launch compare continues it") from None
     names = [arm.name for arm in before.arms]
     seeds = [
         int(path.name.removeprefix("seed_"))

@@ -25,11 +25,11 @@ from otc_dist.otc.acceptance import acceptance
 from otc_dist.otc.distances.interface import Scores
 from otc_dist.otc.samplers.correction import settings_of
 from otc_dist.otc.samplers.interface import (
-    Begun,
     Extent,
     Gathered,
-    Held,
     Indices,
+    MergedData,
+    Preparation,
     Sampler,
     Selection,
 )
@@ -78,10 +78,10 @@ class _Rows(Sampler):
             "plain": random.integers(0, extent.size, shape),
         }
 
-    def begin(self, held: Held) -> Begun:
-        """The rows given stand behind those of B_k."""
+    def begin(self, held: MergedData) -> Preparation:
+        """The rows given follow after those of B_k."""
         mine = held.data.rows[: held.extent.size]
-        return Begun(held.data._replace(rows=torch.cat((mine, self.rows.to(mine.device)))))
+        return Preparation(held.data._replace(rows=torch.cat((mine, self.rows.to(mine.device)))))
 
     def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
         return Selection(sampled["batch"], sampled["plain"])
@@ -112,11 +112,11 @@ class _Perfect:
 
 @dataclass
 class _Known:
-    """A distance that is told its scores."""
+    """A distance with given scores."""
 
     values: Tensor = field(default_factory=lambda: torch.empty(0))
 
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+    def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         return Scores(self.values.to(held.data.rows.device))
 
 

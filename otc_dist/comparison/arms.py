@@ -22,7 +22,7 @@ PERFECT = "perfect"  # an analysis: transitions as they would be with the others
 ORACLE = "oracle"  # an analysis: the transitions in which the others acted most as they do now
 
 _OF_STRATEGIES = {
-    arm: told for name in STRATEGIES for arm, told in STRATEGIES.section(name).arms.items()
+    arm: meaning for name in STRATEGIES for arm, meaning in STRATEGIES.section(name).arms.items()
 }
 _NULL = Arm(
     ("sampling.name=uniform", "minibatch_key=1"),
@@ -114,7 +114,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
 
 # What all arms have in common: else their episodes, or their deployments, cannot be compared.
 _COMMON = ("env", "dataset", "evaluation", "engine", "deployment.count", "seed")
-_SINGLE = ("confirm", "floor", "approve")  # settings that would end a run otherwise than others
+_SINGLE = ("confirm", "floor", "approve")  # settings that would end a run differently from others
 
 
 def describe(base: Description, assignments: Sequence[str], seed: int) -> Description:

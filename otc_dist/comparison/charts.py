@@ -128,8 +128,8 @@ def alpha(runs: Mapping[str, Sequence[Run]]) -> str:
     found: dict[str, list[Series]] = {}
     by_arm = colours(runs)
     for name, of_arm in runs.items():
-        told = [run for run in of_arm if run.told]
-        mine = [run for run in told if all("alpha" in of for of in run.told[0].values())]
+        tuned = [run for run in of_arm if run.told]
+        mine = [run for run in tuned if all("alpha" in of for of in run.told[0].values())]
         if not mine:
             continue
         found[name] = []

@@ -48,9 +48,9 @@ def collect(root: Path) -> Collected:
     """
     description = root / "description.toml"
     if RunFolder(root).run_json.exists():
-        raise UserError(f"{root} is a run's folder, no comparison's")
+        raise UserError(f"{root} is the folder of a run, not of a comparison")
     if not description.is_file():
-        raise UserError(f"{root} is no comparison's folder: it has no description.toml")
+        raise UserError(f"{root} is not the folder of a comparison: it has no description.toml")
     try:
         # Not by `Description`: raw scores outlast the settings of the version that made them.
         found = tomllib.loads(description.read_text(encoding="utf-8"))
@@ -71,7 +71,7 @@ def collect(root: Path) -> Collected:
     counts = {len(run.evaluations): run.arm for of_arm in runs.values() for run in of_arm}
     if len(counts) > 1:
         arms = " and ".join(counts.values())
-        raise UserError(f"runs in {root} have other numbers of deployments: {arms}")
+        raise UserError(f"runs in {root} have different numbers of deployments: {arms}")
     order = [*KNOWN, *sorted(runs)]
     runs = {arm: runs[arm] for arm in sorted(runs, key=order.index)}
     return Collected(name, env_id, dataset, runs)

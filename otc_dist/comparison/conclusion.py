@@ -33,13 +33,13 @@ def _sentence(where: str, found: Differences) -> str:
     if most < ENOUGH or len(null.seeds) < ENOUGH:
         count = "1 seed is" if len(null.seeds) == 1 else f"{len(null.seeds)} seeds are"
         return f"{where}: {count} too few for any claim (ten are needed): {chance}."
-    told = []
+    claims = []
     for name, one in found.items():
         beyond = one.mean > max(null.high, null.t_high, 0)
         beyond |= one.mean < min(null.low, null.t_low, 0)
         if name != NULL and beyond and one.excludes_zero and len(one.seeds) >= ENOUGH:
             better = "better" if one.mean > 0 else "worse"
-            told.append(f"{name} was {better} than {REFERENCE} by {one}")
-    if not told:
+            claims.append(f"{name} was {better} than {REFERENCE} by {one}")
+    if not claims:
         return f"{where}: no arm differs from {REFERENCE} by more than chance does; {chance}."
-    return f"{where}: {', '.join(told)}; {chance}; other arms: no claim."
+    return f"{where}: {', '.join(claims)}; {chance}; other arms: no claim."

@@ -18,7 +18,7 @@ class Difference:
     """One value minus another, seed by seed: the mean, and its intervals (NaN for one seed)."""
 
     seeds: list[int]
-    values: list[float]  # one a seed
+    values: list[float]  # one per seed
     mean: float
     iqm: float
     low: float  # bootstrap percentiles
@@ -43,12 +43,12 @@ class Difference:
 
     def __str__(self) -> str:
         """`+12.3 [-4.5, +29.1]`, with the bootstrap interval."""
-        return f"{self.mean:+,.1f}{_told(self.low, self.high, ' ')}"
+        return f"{self.mean:+,.1f}{_in_brackets(self.low, self.high, ' ')}"
 
     @property
     def student(self) -> str:
         """`[-4.5, +29.1]`, Student's interval."""
-        return _told(self.t_low, self.t_high) or "-"
+        return _in_brackets(self.t_low, self.t_high) or "-"
 
     @property
     def above(self) -> int:
@@ -61,7 +61,7 @@ class Difference:
         return min(self.low, self.t_low) > 0 or max(self.high, self.t_high) < 0
 
 
-def _told(low: float, high: float, before: str = "") -> str:
+def _in_brackets(low: float, high: float, before: str = "") -> str:
     return "" if math.isnan(low) else f"{before}[{low:+,.1f}, {high:+,.1f}]"
 
 

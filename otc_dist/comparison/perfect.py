@@ -21,7 +21,7 @@ TOLERANCE = 1e-3  # standard deviations by which a step played again may miss wh
 Rows = TypeVar("Rows", Float32, Float64)
 
 
-class Played(NamedTuple):
+class OneStepResult(NamedTuple):
     """What came out of N single steps. Tuples are indexed by agent."""
 
     rewards: tuple[Float32, ...]  # (N,)
@@ -57,7 +57,7 @@ class OneStep:
         self._env = registry.make(env_id, COPIES)
         self._env.reset(np.arange(COPIES), np.zeros(COPIES, np.int64))
 
-    def play(self, observations: Float32, actions: Sequence[Float32]) -> Played:
+    def play(self, observations: Float32, actions: Sequence[Float32]) -> OneStepResult:
         """One joint step from each state.
 
         Args:
@@ -80,7 +80,7 @@ class OneStep:
                 rewards[i].append(outcome.rewards[i][:count])
                 successors[i].append(seen[i][:count])
             ended.append(outcome.terminated[:count])
-        return Played(
+        return OneStepResult(
             tuple(map(np.concatenate, rewards)),
             tuple(map(np.concatenate, successors)),
             np.concatenate(ended),
@@ -90,7 +90,7 @@ class OneStep:
 class Correction:
     """Recorded transitions of a team, to be played again with other actions.
 
-    An observation may not tell the whole state: the robots clip velocities. Where the recorded
+    An observation may not show the whole state: the robots clip velocities. Where the recorded
     actions, played again, do not bring what was recorded, the difference that other actions make in
     the simulator is added to the record, within what is ever recorded.
 

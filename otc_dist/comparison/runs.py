@@ -19,7 +19,7 @@ from otc_dist.comparison.scores import (
     ComparisonFolder,
     Evaluation,
     Run,
-    Told,
+    SamplerMetrics,
     best_of,
     read_json,
     write_json,
@@ -40,7 +40,7 @@ from otc_dist.system.processor import processor
 from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep
 
-Tell = Callable[[float, str], None]  # share of the job that is done, and where it stands
+OnProgress = Callable[[float, str], None]  # share of the job that is done, and where it stands
 
 
 def train_offline(
@@ -48,7 +48,7 @@ def train_offline(
     base: Description,
     seed: int,
     agent: str,
-    tell: Tell,
+    on_progress: OnProgress,
     assignments: Sequence[str] = (),
 ) -> None:
     """Train pi_0 of one agent, and what any arm's distance fits to B_0, from its newest unfinished
@@ -67,7 +67,7 @@ def train_offline(
 
     def report(progress: Progress) -> None:
         share = progress.update / offline if progress.phase == "offline" and offline else 1.0
-        tell(share, f"{progress.phase} {progress.update:,} of {progress.updates:,}")
+        on_progress(share, f"{progress.phase} {progress.update:,} of {progress.updates:,}")
 
     learner.pretrain(report, lambda: learner.save(unfinished))
     learner.save(files.checkpoint(agent, 0))
@@ -90,7 +90,7 @@ def run_arm(
     arm: str,
     assignments: Sequence[str],
     versions: Mapping[str, str],
-    tell: Tell,
+    on_progress: OnProgress,
 ) -> Run:
     """Tune an arm through all deployments, from the seed's offline checkpoints.
 
@@ -105,25 +105,25 @@ def run_arm(
     first = Evaluation(**read_json(files.root / OFFLINE))
     if first.policies != _digests(learners):
         raise UserError(f"{files.root / OFFLINE} is of other policies; delete it")
-    evaluations, told = [first], []
+    evaluations, tunings = [first], []
     measured: list[Measured | None] = []
     count, h = description.deployment.count, _horizon(description)
     with TemporaryDirectory() as scratch:
         earlier = RunFolder(Path(scratch))
         for k in range(1, count + 1):
 
-            def tell_of_k(share: float, where: str, k: int = k) -> None:
-                tell((k - 1 + share) / count, f"{where} {k} of {count}")
+            def on_progress_of_k(share: float, where: str, k: int = k) -> None:
+                on_progress((k - 1 + share) / count, f"{where} {k} of {count}")
 
-            tell_of_k(0.0, "deployment")
+            on_progress_of_k(0.0, "deployment")
             steps = team.deploy(learners, k)
             measured.append(_measured(steps, h))
             if description.deployment.revert:
                 _revert(learners, k, measured, earlier)
             if analysis is not None:
-                tell_of_k(0.0, "analysis of deployment")
+                on_progress_of_k(0.0, "analysis of deployment")
                 analysis.prepare(learners, k, steps)
-            told.append(_tune(learners, k, steps, tell_of_k))
+            tunings.append(_tune(learners, k, steps, on_progress_of_k))
             evaluations.append(_evaluate(learners, k))
     run = Run(
         arm=arm,
@@ -132,7 +132,7 @@ def run_arm(
         evaluations=evaluations,
         offline=description.offline_digest(),
         analysis=arm if analysis is not None else "",
-        told=told,
+        told=tunings,
         measured=measured,
         horizon=h,
         best=best_of(measured),
@@ -212,25 +212,28 @@ def _revert(
 
 
 def _tune(
-    learners: Sequence[Learner], deployment: int, steps: Sequence[JointStep], tell: Tell
-) -> dict[str, Told]:
+    learners: Sequence[Learner],
+    deployment: int,
+    steps: Sequence[JointStep],
+    on_progress: OnProgress,
+) -> dict[str, SamplerMetrics]:
     """The tuning after deployment k: agent -> what its sampler gave before the updates."""
-    told: dict[str, Told] = {}
+    tunings: dict[str, SamplerMetrics] = {}
     for index, learner in enumerate(learners):
         name = learner.spec.name
-        told[name] = {}
+        tunings[name] = {}
 
         def report(progress: Progress, index: int = index, name: str = name) -> None:
             if progress.update == 0:
-                told[name] = {
+                tunings[name] = {
                     key: value if isfinite(value) else None
                     for key, value in progress.metrics.items()
                 }
             within = progress.update / max(progress.updates, 1)
-            tell((index + within) / len(learners), f"tuning {name} after deployment")
+            on_progress((index + within) / len(learners), f"tuning {name} after deployment")
 
         learner.tune(deployment, team.own_transitions(steps, index), report)
-    return told
+    return tunings
 
 
 def _evaluate(learners: Sequence[Learner], deployment: int) -> Evaluation:

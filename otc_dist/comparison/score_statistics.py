@@ -88,7 +88,7 @@ class Summary:
     """A comparison of all arms with the reference."""
 
     seeds: list[int]  # the reference's
-    episodes: int  # behind every return, at least
+    episodes: int  # that every return is the mean of, at least
     arms: list[Arm]
     conclusion: str
 
@@ -171,7 +171,7 @@ def _minus(mine: BySeed, others: BySeed) -> BySeed:
 
 
 def _share(above: BySeed, ceiling: BySeed) -> float | None:
-    """Of the way from the reference to perfect correction, both told minus the reference."""
+    """Of the way from the reference to perfect correction, both minus the reference."""
     common = [seed for seed in above if seed in ceiling]
     if not common:
         return None

@@ -17,7 +17,7 @@ from otc_dist.terminal.errors import UserError
 FORMAT = 2
 OFFLINE = "pi_0.json"  # the one file of a seed's folder that is no run's
 
-Told = dict[str, float | None]  # name -> value; None where it is not a number
+SamplerMetrics = dict[str, float | None]  # name -> value; None where it is not a number
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Run:
     evaluations: list[Evaluation]
     offline: str = ""  # digest of what its pi_0 depends on
     analysis: str = ""  # what an arm looks at that no learner may see; empty of any other
-    told: list[dict[str, Told]] = field(default_factory=list)
+    told: list[dict[str, SamplerMetrics]] = field(default_factory=list)
     measured: list[Measured | None] = field(default_factory=list)
     horizon: int = 0
     best: int | None = None

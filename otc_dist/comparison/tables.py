@@ -44,12 +44,12 @@ NOTHING = "-"
 
 
 def measures(summary: Summary) -> list[str]:
-    """The measures that the task has, in the order in which they are told."""
+    """The measures that the task has, in the order in which they are reported."""
     return [measure for measure in TITLES if measure in summary.arms[0].measures]
 
 
 def judged(summary: Summary) -> list[str]:
-    """What the runs are judged by, in the order in which it is told."""
+    """What the runs are judged by, in the order in which it is reported."""
     return [name for name in JUDGED_TITLES if any(name in arm.judged for arm in summary.arms)]
 
 

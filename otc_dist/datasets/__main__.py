@@ -15,13 +15,13 @@ from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import aligned, say
 
 DESCRIPTION = """\
-Offline data sets B_0: one file an agent, with only that agent's <s, a_i, r, s'>.
+Offline data sets B_0: one file per agent, with only that agent's <s, a_i, r, s'>.
 
 Data sets we make have the name ENVIRONMENT/LEVEL, where LEVEL is
   random          uniformly random actions
   medium          samples of a behaviour policy; of a robot, of D4RL's medium level
   medium-replay   a mixture of the policies on the way there, from the untrained one on
-Robots have all three, other tasks those that `list` tells. They are made by playing the behaviour
+Robots have all three, other tasks those that `list` shows. They are made by playing the behaviour
 policies that come with this package, once, and kept in the cache. The same name and size give the
 same bytes. They are not D4RL's. That data, Minari's and OG-MARL's can be imported, and so can
 deployment logs, to train from what an earlier run did.
@@ -42,7 +42,7 @@ The cache is {cache}; set OTC_DIST_CACHE to keep it elsewhere.
 
 
 def main(argv: list[str]) -> int:
-    """Run one command. Raises UserError for what the user can mend."""
+    """Run one command. Raises UserError for what the user can fix."""
     arguments = command_line().parse_args(argv)
     if arguments.command == "list":
         _list()
@@ -80,7 +80,7 @@ def command_line() -> Parser:
             type=_size,
             default=0,
             metavar="N",
-            help="size, if not the usual one, which `list` tells",
+            help="size, if not the usual one, which `list` shows",
         )
     make.add_argument(
         "--agent",
@@ -96,7 +96,7 @@ def command_line() -> Parser:
         "as `replay --export minari` makes it; a Flashbax vault of OG-MARL; or a recording of "
         "single-agent play, whose action vector is split among the agents. Of unfinished or "
         "damaged logs what is intact is taken, and from others' recordings transitions without a "
-        "known true successor s' are dropped; the data set's notes tell.",
+        "known true successor s' are dropped; the data set's notes say so.",
     )
     importing.add_argument(
         "files",

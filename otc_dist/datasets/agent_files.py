@@ -11,7 +11,7 @@ Tensors, all with T rows:
     episodes           (T,)                   int64, which episode a row belongs to
 
 The safetensors metadata has one key, `otc_dist`, that holds the `Header` as JSON (one key,
-because safetensors writes several in no fixed order, and equal data shall give equal files).
+because safetensors writes several in no fixed order, and equal data must give equal files).
 """
 
 import hashlib
@@ -102,7 +102,7 @@ def load_agent(path: Path, agent: str) -> Transitions:
 
 
 def read_file(path: Path) -> tuple[Header, Tensors]:
-    """An agent's file, whoever's it is, checked; errors as in `load_agent`."""
+    """An agent's file, of any source, checked; errors as in `load_agent`."""
     return _load(path, _read(path)[0].agent)
 
 
@@ -135,7 +135,7 @@ def _read(path: Path) -> tuple[Header, Tensors]:
         with safe_open(path, framework="numpy") as file:
             text = (file.metadata() or {}).get(_KEY)
             if text is None:
-                raise UserError(f"{path} is no data set file of ours; {_remedy(path)}")
+                raise UserError(f"{path} is not a data set file of otc_dist; {_remedy(path)}")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         header = Header.model_validate_json(text)
     except ValidationError as error:
@@ -210,6 +210,6 @@ def _remedy(path: Path) -> str:
     if registry.known(env_id) and transitions.isdecimal():
         name = f"{env_id}/{level} --transitions {transitions}"
         return (
-            f"python -m otc_dist.datasets make {name} mends it (an imported set: import it again)"
+            f"python -m otc_dist.datasets make {name} repairs it (an imported set: import it again)"
         )
     return "make it with python -m otc_dist.datasets make, or import it"

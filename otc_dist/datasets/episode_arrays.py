@@ -14,7 +14,7 @@ from otc_dist.transitions import Bool, Float32
 
 
 @dataclass(frozen=True)
-class Views:
+class ObservationViews:
     """Agents that are given the same array of observations share a view, which is kept once."""
 
     of_agents: tuple[int, ...]  # the view of each agent
@@ -37,16 +37,16 @@ class Views:
         )
 
     def to_agents(self, arrays: Sequence[Float32]) -> tuple[Float32, ...]:
-        """One array an agent, from one array a view."""
+        """One array per agent, from one array per view."""
         return tuple(arrays[view] for view in self.of_agents)
 
     def from_agents(self, arrays: Sequence[Float32]) -> tuple[Float32, ...]:
-        """One array a view, from one array an agent."""
+        """One array per view, from one array per agent."""
         return tuple(arrays[viewer] for viewer in self.viewers)
 
 
 @dataclass(frozen=True)
-class Played:
+class PlayedEpisode:
     """One episode: what was seen, views x (T + 1, O), joint actions (T, A), rewards (T, N)."""
 
     seen: tuple[Float32, ...]
@@ -55,10 +55,10 @@ class Played:
     terminated: bool
 
 
-class Rows:
+class EpisodeArrays:
     """The arrays of a data set of `count` transitions, filled in the order of the rows."""
 
-    def __init__(self, team: TeamSpec, views: Views, count: int) -> None:
+    def __init__(self, team: TeamSpec, views: ObservationViews, count: int) -> None:
         self._views, self._slices = views, ActionSlices(team)
         self._observations = [np.empty((count, size), np.float32) for size in views.sizes]
         self._successors = [np.empty((count, size), np.float32) for size in views.sizes]
@@ -71,8 +71,8 @@ class Rows:
     def __len__(self) -> int:
         return len(self._episodes)
 
-    def write(self, start: int, stop: int, played: Played) -> int:
-        """Write one episode from row `start`, cut at row `stop`; returns the row behind it.
+    def write(self, start: int, stop: int, played: PlayedEpisode) -> int:
+        """Write one episode from row `start`, cut at row `stop`; returns the row after it.
 
         An episode that broke off in its first step has none to write.
         """

@@ -9,7 +9,7 @@ policy begins with the rows of a shorter one.
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.datasets.episode_arrays import Played, Rows, Views
+from otc_dist.datasets.episode_arrays import EpisodeArrays, ObservationViews, PlayedEpisode
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.source import ActionSlices, Behaviour, Part, Source
 from otc_dist.datasets.sources import source_of
@@ -57,9 +57,13 @@ def generate(
     Raises:
         UserError: as `parts`.
     """
-    source, team, views = _source(env_id, level), registry.team_spec(env_id), Views.of(env_id)
+    source, team, views = (
+        _source(env_id, level),
+        registry.team_spec(env_id),
+        ObservationViews.of(env_id),
+    )
     shares = parts(env_id, level, transitions)
-    rows = Rows(team, views, transitions)
+    rows = EpisodeArrays(team, views, transitions)
     for part in shares:
         most = registry.affordable(env_id, _MAX_COPIES)
         copies = max(1, min(most, (part.stop - part.start) // team.max_episode_steps))
@@ -88,7 +92,7 @@ class _Copies:
         self,
         env_id: str,
         copies: int,
-        views: Views,
+        views: ObservationViews,
         behaviour: Behaviour,
         key: tuple[int, str, str, str],
     ) -> None:
@@ -142,10 +146,10 @@ class _Copies:
         """Steps played of that episode; 0 if no copy plays it."""
         return int(self._time[self.episode == episode].sum())
 
-    def played(self, copy: int, terminated: bool, broken: bool = False) -> Played:
+    def played(self, copy: int, terminated: bool, broken: bool = False) -> PlayedEpisode:
         """A copy of what `copy` has played of its episode; a step that broke off is left out."""
         length = int(self._time[copy]) - broken
-        return Played(
+        return PlayedEpisode(
             tuple(seen[copy, : length + 1].copy() for seen in self._seen),
             self._actions[copy, :length].copy(),
             self._rewards[copy, :length].copy(),
@@ -153,10 +157,10 @@ class _Copies:
         )
 
 
-def _play(now: _Copies, rows: Rows, part: Part, report: Report) -> None:
+def _play(now: _Copies, rows: EpisodeArrays, part: Part, report: Report) -> None:
     """Fill the rows of `part` with episodes."""
     # Episodes end in any order, but rows are written in the order of their numbers.
-    ended: dict[int, Played] = {}
+    ended: dict[int, PlayedEpisode] = {}
     number, filled, steps = 0, part.start, 0
     while filled < part.stop:
         outcome = now.step()

@@ -51,7 +51,7 @@ def _guess(recorded_in: str) -> str:
         if agents > 1 and recorded_in.lower().startswith(robot.name):
             return env_id
     raise UserError(
-        f"cannot tell the environment from {recorded_in!r}; say it, for example --env hopper-3x1"
+        f"cannot find the environment from {recorded_in!r}; name it, for example --env hopper-3x1"
     )
 
 

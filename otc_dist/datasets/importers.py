@@ -39,9 +39,11 @@ def import_files(
         return import_agent_file(sources[0])
     first = next(source for source in sources if not is_log(source))
     if len(sources) > 1:
-        raise UserError(f"{first} is no deployment log, and only those are joined: import it alone")
+        raise UserError(
+            f"{first} is not a deployment log, and only logs are joined: import it alone"
+        )
     if not level:
-        raise UserError(f"say what the data of {first} shall be called, for example --name mine")
+        raise UserError(f"name the data of {first}, for example --name mine")
     return import_file(first, level, env_id)
 
 
@@ -54,7 +56,7 @@ def import_logs(
 
     Args:
         level: the name after the slash; "": the name of the run that the logs are of.
-        env_id: what the logs were recorded in, if it shall be checked.
+        env_id: what the logs were recorded in, if it is to be checked.
         report: called with (logs read, of how many).
 
     Raises:
@@ -66,7 +68,7 @@ def import_logs(
     if env_id not in ("", team.env_id):
         raise UserError(f"{sources[0]} was recorded in {team.env_id}, not in {env_id}")
     if not level and len(logged.runs) > 1:
-        raise UserError(f"these are logs of {len(logged.runs)} runs: say --name for what they make")
+        raise UserError(f"these are logs of {len(logged.runs)} runs: name the result with --name")
     name = _name(team.env_id, level or logged.runs[0])
     if not len(data):
         raise UserError(f"{sources[0]}: there is no whole step in it")
@@ -115,7 +117,7 @@ def _check_level(level: str) -> None:
     try:
         checked(level)
     except ValueError as error:
-        raise UserError(f"a data set cannot be called so: {error}") from None
+        raise UserError(f"a data set cannot have this name: {error}") from None
 
 
 def _name(env_id: str, level: str) -> DatasetName:

@@ -1,4 +1,4 @@
-"""What a run reads beside its description, by digests: whoever goes on with it needs the same.
+"""What a run reads beside its description, by digests: to continue it, the same are needed.
 
 run.json holds them under `inputs`, by names that `sources` and `data` give.
 """
@@ -75,10 +75,10 @@ def check(noted: Digests, found: Digests, description: Description) -> None:
         if name.startswith(_CODE):
             reference, _, path = name.removeprefix(_CODE).rpartition(": ")
             raise UserError(
-                f"{path}, of {reference}, is another than when the run began: restore it, or start"
+                f"{path}, of {reference}, has changed since the run began: restore it, or start"
                 " a new run"
             )
         raise UserError(
-            f"the {name} ({description.dataset.name}) are others than when the run began: import"
+            f"the {name} ({description.dataset.name}) have changed since the run began: import"
             " them again as they were, or start a new run"
         )

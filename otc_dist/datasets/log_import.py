@@ -34,7 +34,7 @@ class Logged:
 
     team: TeamSpec
     runs: tuple[str, ...]  # sorted
-    data: JointTransitions  # one row a step and copy
+    data: JointTransitions  # one row per step and copy
     begun: Bool  # (T,) whether the row's episode is there from its first step
     recipe: dict[str, str]  # "RUN deployment K" -> SHA-256 of the file
     notes: tuple[str, ...]  # what is missing
@@ -51,7 +51,7 @@ class _File:
 
 
 def is_log(path: Path) -> bool:
-    """Whether that is a deployment log, or shall be one by its name."""
+    """Whether that is a deployment log, or is one by its name."""
     if path.name.endswith(_SUFFIXES):
         return True
     try:
@@ -126,7 +126,7 @@ def _read(path: Path) -> _File:
     _check_team(header.team, path)
     if not header.bound:
         unbound = f"log version {header.format_version}, unbound to its run"
-        notes += (f"{path.name}: {unbound}{f'; {own.told}' if own.told else ''}",)
+        notes += (f"{path.name}: {unbound}{f'; {own.in_words}' if own.in_words else ''}",)
     episodes, begun = _numbered(rows["step"], rows["terminated"] | rows["truncated"])
     agents = [layout.transitions(rows, index) for index in range(len(header.team.agents))]
     broken = agents[0].terminated & agents[0].truncated

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from otc_dist.datasets.hdf5 import array, attributes, names
-from otc_dist.datasets.recording import Beginnings, Recording, flags, joint_sizes, numbers
+from otc_dist.datasets.recording import EpisodeStarts, Recording, flags, joint_sizes, numbers
 from otc_dist.spec import TeamSpec
 from otc_dist.terminal.errors import UserError
 
@@ -40,7 +40,7 @@ def data_file(folder: Path) -> Path:
             return candidate
     found = sorted(folder.rglob(DATA_FILE))
     if found:
-        raise UserError(f"{folder} is no single Minari data set; name one, such as {found[0]}")
+        raise UserError(f"{folder} is not a single Minari data set; name one, such as {found[0]}")
     raise UserError(
         f"no {DATA_FILE} in {folder}; only Minari data sets in the format 'hdf5' can be imported"
     )
@@ -61,12 +61,12 @@ def episodes(file: "h5py.File", source: str) -> list[str]:
     """The names of the episodes, in their order. Raises UserError: damage."""
     found = [name for name in names(file, source) if name.startswith(EPISODE)]
     if bad := [name for name in found if not _NUMBER.fullmatch(name.removeprefix(EPISODE))]:
-        raise UserError(f"{source}: {bad[0]} is no episode's name")
+        raise UserError(f"{source}: {bad[0]} is not the name of an episode")
     return sorted(found, key=lambda name: int(name.removeprefix(EPISODE)))
 
 
 def place(attributes: Mapping[str, object]) -> tuple[int, int, int] | None:
-    """Log, copy and step of an episode's first row, which our exports tell by its attributes."""
+    """Log, copy and step of an episode's first row, which our exports give in its attributes."""
     found = [attributes.get(f"options/{name}") for name in ("log", "copy", "step")]
     if not all(isinstance(number, int | np.integer) for number in found):
         return None
@@ -84,7 +84,7 @@ def read(file: "h5py.File", spec: TeamSpec, source: str) -> Recording:
     parts: dict[str, list[NDArray[Any]]] = {
         name: [] for name in (*_FIELDS, "next", "episodes", "begun")
     }
-    beginnings = Beginnings()
+    beginnings = EpisodeStarts()
     for index, name in enumerate(episodes(file, source)):
         where = f"{source}: {name}"
         group = {}

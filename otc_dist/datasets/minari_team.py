@@ -17,7 +17,7 @@ import numpy as np
 from otc_dist.datasets import minari
 from otc_dist.datasets.hdf5 import array, attributes, names
 from otc_dist.datasets.joint import JointTransitions
-from otc_dist.datasets.recording import Beginnings, clipped, flags, numbers
+from otc_dist.datasets.recording import EpisodeStarts, clipped, flags, numbers
 from otc_dist.spec import TeamSpec
 from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, Float32, choice_problem
@@ -46,7 +46,7 @@ def read(
     """
     parts: list[JointTransitions] = []
     begun: list[Bool] = []
-    beginnings, broken = Beginnings(), 0
+    beginnings, broken = EpisodeStarts(), 0
     for index, name in enumerate(minari.episodes(file, source)):
         part = _episode(file, name, spec, f"{source}: {name}", index)
         ended = bool(len(part) and (part.terminated[-1] or part.truncated[-1]))

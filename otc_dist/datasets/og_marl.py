@@ -21,7 +21,7 @@ import numpy as np
 from otc_dist.datasets.fields import Fields
 from otc_dist.datasets.found import Found, team_returns
 from otc_dist.datasets.joint import JointTransitions
-from otc_dist.datasets.recording import Beginnings, clipped, dropped
+from otc_dist.datasets.recording import EpisodeStarts, clipped, dropped
 from otc_dist.datasets.vault import Vault
 from otc_dist.datasets.writing import Provenance, versions
 from otc_dist.envs import registry
@@ -159,7 +159,7 @@ def _begun(fields: Fields, data: JointTransitions) -> Bool:
     lengths = np.diff(starts, append=len(data))
     if any(place is None or place.dtype.kind not in "iu" for place in places):
         return np.ones(len(data), np.bool_)
-    beginnings, ends = Beginnings(), data.terminated | data.truncated
+    beginnings, ends = EpisodeStarts(), data.terminated | data.truncated
     whole = []
     for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
         log, copy, step = (int(place[start]) for place in places if place is not None)

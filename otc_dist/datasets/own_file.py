@@ -61,7 +61,7 @@ def import_agent_file(source: Path) -> DatasetCard:
         before = DatasetCard.read(folder)
         if before is not None:
             if before.files.get(header.agent, own) != own or before.origin != header.origin:
-                raise UserError(f"{name} is there already, and another one; delete {folder} first")
+                raise UserError(f"{name} is there already and differs; delete {folder} first")
             card = before.model_copy(update={"files": {**before.files, header.agent: own}})
         add_file(folder / f"{header.agent}.safetensors", source.read_bytes())
         add_file(folder / FILE_NAME, card.to_json().encode())

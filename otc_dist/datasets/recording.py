@@ -55,7 +55,7 @@ def numbers(array: NDArray[Any], name: str, shape: tuple[int, ...], source: str)
         row = int(np.argwhere(~np.isfinite(converted))[0, 0])
         raise UserError(
             f"{source}: {name} has a value that is not finite (NaN or infinity) in row {row}; "
-            "mend the file first"
+            "fix the file first"
         )
     return converted
 
@@ -142,7 +142,7 @@ def dropped(known: Bool, terminated: Bool) -> str:
     )
 
 
-class Beginnings:
+class EpisodeStarts:
     """Which episodes are there from their first step.
 
     Exports of ours say which steps they are of which log and copy; where one is cut, because steps

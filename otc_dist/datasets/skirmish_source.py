@@ -40,7 +40,7 @@ class SkirmishSource:
         team = registry.team_spec(env_id)
         if policy == "random":
             return Uniform(team)
-        return _Alike(load_policy(env_id, load_card(env_id).medium), len(team.agents))
+        return _SharedPolicy(load_policy(env_id, load_card(env_id).medium), len(team.agents))
 
     def seed_name(self, env_id: str) -> str:
         return env_id
@@ -51,7 +51,7 @@ class SkirmishSource:
         return {"policy medium": load_card(env_id).medium.sha256}
 
 
-class _Alike:
+class _SharedPolicy:
     """Agents that act by one policy, each on what it sees."""
 
     def __init__(self, policy: BehaviourPolicy, agents: int) -> None:
@@ -61,7 +61,7 @@ class _Alike:
         return self._policy.noise(random, steps * self._agents).reshape(steps, -1)
 
     def act(self, observations: Sequence[Float32], noise: Float32) -> Sequence[Float32]:
-        # One row an agent and copy, agent by agent.
+        # One row per agent and copy, agent by agent.
         by_row = np.concatenate(np.split(noise, self._agents, axis=1))
         actions = self._policy.act(np.concatenate(observations), by_row)
         return np.split(actions, self._agents)

@@ -58,7 +58,7 @@ class Source(Protocol):
 
     @property
     def packages(self) -> tuple[str, ...]:
-        """Packages whose versions the card tells, besides NumPy and our own."""
+        """Packages whose versions the card records, besides NumPy and our own."""
         ...
 
 
@@ -68,7 +68,7 @@ class Part:
 
     policy: str
     start: int  # first row
-    stop: int  # behind the last row
+    stop: int  # after the last row
 
 
 class ActionSlices:

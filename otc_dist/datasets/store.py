@@ -161,7 +161,7 @@ def _recipe(name: DatasetName, source: Source) -> dict[str, str]:
 def _returns(name: DatasetName, made: JointTransitions) -> tuple[Float64, int]:
     """Returns of the complete episodes of what was made, and the number of the others."""
     limit, truncated = registry.time_limit(name.env_id), made.truncated
-    if not limit:  # the length does not tell whether the task ended an episode, or we did
+    if not limit:  # the length does not say whether the task ended an episode, or we did
         truncated = truncated.copy()
         stops = [part.stop for part in generate.parts(name.env_id, name.level, len(made))]
         truncated[np.array(stops) - 1] = False

@@ -33,7 +33,7 @@ from otc_dist.transitions import Float64
 _LOCK = ".lock"
 _STAGING = ".making-"  # a set that is being written; never read
 _LOOK = 0.2  # seconds between two attempts to lock what another process is making
-_TELL_EVERY = 30.0  # seconds between two lines that say so
+_LOG_EVERY = 30.0  # seconds between two lines that say so
 _PATIENCE = 60.0  # seconds that the other may do nothing at all
 
 _log = logging.getLogger(__name__)
@@ -91,7 +91,7 @@ def _wait_for(handle: int, name: DatasetName) -> None:
         holder = _holder(handle)
         now, used = time.monotonic(), thread_times(holder) if holder else frozenset()
         if not waits:
-            waits, told, moved, before = True, now, now, used
+            waits, logged, moved, before = True, now, now, used
             _log.warning("%s is making %s; waiting for it", _named(holder), name)
         if used != before or not holder or not thread_times(os.getpid()):  # or nothing is known
             moved, before = now, used
@@ -100,8 +100,8 @@ def _wait_for(handle: int, name: DatasetName) -> None:
                 f"{_named(holder)}, which is making {name}, has done nothing for {_PATIENCE:g} s:"
                 f" end it (kill {holder}), and try again"
             )
-        if now - told > _TELL_EVERY:
-            told = now
+        if now - logged > _LOG_EVERY:
+            logged = now
             _log.warning("%s is still making %s", _named(holder), name)
         time.sleep(_LOOK)
     os.ftruncate(handle, 0)
@@ -109,7 +109,7 @@ def _wait_for(handle: int, name: DatasetName) -> None:
 
 
 def _holder(handle: int) -> int:
-    """Process id of who has written itself into the lock file; 0 if it is not on this machine."""
+    """Process id that stands in the lock file; 0 if it is not on this machine."""
     pid, _, host = os.pread(handle, 300, 0).decode(errors="replace").strip().partition(" ")
     return int(pid) if host == socket.gethostname() and pid.isdecimal() else 0
 

@@ -17,7 +17,7 @@ class Extent:
     Attributes:
         ranges: which steps, start..stop-1 of each pair; more than one where some are missing.
         scheduled: how many a whole deployment has, by its description (N M with sequential
-            exploration); None: that does not tell.
+            exploration); None: that is not known.
         finished: whether its writer finished it. Of a recovered one: whether what it was recovered
             from still had its end.
         recovered: whether it was made of what was whole of another file.
@@ -35,12 +35,12 @@ class Extent:
 
     @property
     def end(self) -> int:
-        """The number behind that of the last step."""
+        """The number after that of the last step."""
         return self.ranges[-1][1]
 
     @property
     def complete(self) -> bool:
-        """Whether all steps are there, as far as its description tells their number."""
+        """Whether all steps are there, as far as its description gives their number."""
         return self.ranges == [(0, self.scheduled)]
 
     @property
@@ -48,7 +48,7 @@ class Extent:
         """Whether all of the deployment is there for certain.
 
         Of how many steps a log was that was not finished, or that lost some, only its description
-        can tell; a writer that finishes has written all.
+        can say; a writer that finishes has written all.
         """
         untold = self.scheduled is None and not self.recovered and not self.gaps
         return self.finished and (self.complete or untold)
@@ -69,7 +69,7 @@ class Extent:
         found = self.gaps
         if self.scheduled is not None and self.end < self.scheduled:
             found.append((self.end, self.scheduled))
-        words = _told(found)
+        words = _in_words(found)
         if self.scheduled is None and not self.whole:
             words += f" before step {self.end:,}, and how many follow is not known"
         return words
@@ -94,14 +94,14 @@ class Extent:
 
 
 def scheduled_steps(header: LogHeader) -> int | None:
-    """How many lock-steps a deployment has by the description in its log; None: it tells none.
+    """How many lock-steps a deployment has by the description in its log; None: it gives none.
 
     What else another version wrote there need not be understood.
     """
     try:
-        told = tomllib.loads(header.description)
-        transitions, copies = told["deployment"]["transitions"], told["env"]["copies"]
-        exploration = told["deployment"].get("exploration", "none")
+        described = tomllib.loads(header.description)
+        transitions, copies = described["deployment"]["transitions"], described["env"]["copies"]
+        exploration = described["deployment"].get("exploration", "none")
     except (ValueError, RecursionError, KeyError, TypeError, AttributeError):
         return None
     if not (type(transitions) is type(copies) is int and transitions >= copies > 0):
@@ -110,6 +110,6 @@ def scheduled_steps(header: LogHeader) -> int | None:
     return Schedule(transitions // copies, agents, exploration == "sequential").steps
 
 
-def _told(ranges: list[tuple[int, int]]) -> str:
+def _in_words(ranges: list[tuple[int, int]]) -> str:
     parts = [f"{low:,} to {high - 1:,}" for low, high in ranges]
     return f"steps {', '.join(parts)}" if parts else "none"

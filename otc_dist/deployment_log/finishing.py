@@ -61,12 +61,12 @@ def write_finished(
         if len(ranges) > 1 or (ranges and ranges[0][0] > 0):
             writer.add_metadata(fmt.RANGES, seal({"ranges": json.dumps(ranges)}, binding))
         if recovered_from is not None:
-            told = _told(ranges, header, recovered_from)
-            writer.add_metadata(fmt.RECOVERED, seal(told, binding))
+            recovery = _recovery(ranges, header, recovered_from)
+            writer.add_metadata(fmt.RECOVERED, seal(recovery, binding))
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _told(ranges: list[list[int]], header: LogHeader, source: Source) -> dict[str, str]:
+def _recovery(ranges: list[list[int]], header: LogHeader, source: Source) -> dict[str, str]:
     """What a recovered log says of itself: from what it was recovered, and how much it holds."""
     scheduled = scheduled_steps(header)
     return {
@@ -77,7 +77,7 @@ def _told(ranges: list[list[int]], header: LogHeader, source: Source) -> dict[st
 
 
 def _write(writer: Writer, blocks: Iterable[Rows], ranges: list[list[int]]) -> Iterator[Rows]:
-    """Write each block's steps and give it on; `ranges` is told which steps there were."""
+    """Write each block's steps and pass it on; `ranges` collects which steps there were."""
     for rows in blocks:
         for row in rows:
             step = int(row["step"])
@@ -96,7 +96,7 @@ def _write(writer: Writer, blocks: Iterable[Rows], ranges: list[list[int]]) -> I
 
 
 def _add_pictures(writer: Writer, header: LogHeader, blocks: Iterable[Rows], path: Path) -> None:
-    """What Foxglove shows, behind the steps.
+    """What Foxglove shows, after the steps.
 
     A deployment cannot be repeated: whatever goes wrong with its picture, its log is finished.
     """

@@ -6,7 +6,7 @@ steps by one inside each record, metadata by one inside each map, chunks and the
 From version 2 on the checksums of steps and tables begin with the header's `binding`, so that they
 hold in no other log: what a power cut or a mistake put there from elsewhere is no step of this one.
 In version 1 they begin with nothing, as MCAP's do. Who can write a log can write any checksum:
-they tell damage and mix-ups, not forgeries.
+they show damage and mix-ups, not forgeries.
 """
 
 import struct
@@ -73,7 +73,7 @@ def no_log(head: bytes, size: int) -> str | None:
     if magic != MCAP0_MAGIC:
         return short if MCAP0_MAGIC.startswith(magic) else "is not an MCAP file"
     at = len(MCAP0_MAGIC)
-    for opcode in (Opcode.HEADER, Opcode.METADATA):  # the file's own, and ours behind it
+    for opcode in (Opcode.HEADER, Opcode.METADATA):  # the file's own, and ours after it
         if size < at + _RECORD.size:
             return short
         if len(head) < at + _RECORD.size:

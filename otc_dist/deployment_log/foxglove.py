@@ -3,7 +3,7 @@
 The steps' channel is msgpack, which Foxglove does not display. So a finished log says the main
 things once more: the scalars by name, and where the bodies of one copy are. They are made from the
 recorded steps, with their times and numbers, after the last step: nothing waits for them, and no
-step depends on them. They lie behind the steps in chunks of their own, so that whoever reads steps
+step depends on them. They lie after the steps in chunks of their own, so that a reader of steps
 never has to decompress them.
 """
 
@@ -150,7 +150,7 @@ def _flag(value: bool) -> str:
 def _numbers(pairs: Iterable[tuple[str, float]]) -> str:
     """Further members of an object, without those that JSON has no number for.
 
-    Six digits are more than a plot shows; whoever computes reads the steps.
+    Six digits are more than a plot shows; computations read the steps.
     """
     return "".join(f',"{name}":{value:.6g}' for name, value in pairs if math.isfinite(value))
 

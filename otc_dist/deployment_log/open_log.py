@@ -97,7 +97,7 @@ class OpenLog:
     def _find_header(self) -> LogHeader:
         """The first intact copy of the header.
 
-        Of an unfinished log only the channel's copy counts: right behind it, at `first`, the
+        Of an unfinished log only the channel's copy counts: right after it, at `first`, the
         steps begin, so where they begin is covered by a checksum, too.
         """
         self.first, before = 0, 0
@@ -229,7 +229,7 @@ class OpenLog:
             yield from self._checked(data, first)
 
     def _chunked(self, start: int, end: int, shift: int) -> Iterator[Rows]:
-        """Steps start..end-1, which lie behind each other; the log's n-th step is n + shift."""
+        """Steps start..end-1, which lie one after another; the log's n-th step is n + shift."""
         size, first = self.layout.size, shift
         for index in self._summary.chunk_indexes if self._summary else ():
             if first >= end:

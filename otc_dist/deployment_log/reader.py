@@ -34,7 +34,7 @@ class LogSummary:
 
     @property
     def end(self) -> int:
-        """The number behind that of the last step."""
+        """The number after that of the last step."""
         return self.extent.end
 
 

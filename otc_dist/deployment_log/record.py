@@ -38,7 +38,7 @@ _FALSE = 0xC2  # msgpack's false; true is one more
 
 PER_AGENT = ("observations", "actions", "rewards", "next_observations")
 
-Rows = NDArray[np.void]  # structured; one row a step, fields as in `RecordLayout.dtype`
+Rows = NDArray[np.void]  # structured; one row per step, fields as in `RecordLayout.dtype`
 
 
 class RecordLayout:

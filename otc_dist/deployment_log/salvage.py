@@ -24,14 +24,14 @@ from otc_dist.terminal.errors import UserError
 _FRAME_MAGIC = bytes.fromhex("28b52ffd")  # RFC 8878
 _BLOCK = 2**20  # bytes of steps given at once
 _RECORD_HEAD = 9  # bytes of a record's opcode and length
-_LAST_TIME = 2**63  # ns since the epoch; a time behind it is damage
+_LAST_TIME = 2**63  # ns since the epoch; a time after it is damage
 _UINT32 = struct.Struct("<I")
 
 _Bytes = bytes | bytearray | mmap.mmap
 
 
 class _Run(NamedTuple):
-    """Where steps lie behind each other: `records` of them at a place, or in a frame there (0)."""
+    """Where steps lie one after another: `records` of them at a place, or in a frame there (0)."""
 
     first: int  # step
     at: int
@@ -71,10 +71,10 @@ class Salvage:
     def _find_header(self) -> LogHeader:
         metadata, channel = _string(fmt.HEADER), _string(fmt.TOPIC) + _string("msgpack")
         for marker in (metadata, channel):
-            for entries in _maps_behind(marker, self._data):
+            for entries in _maps_after(marker, self._data):
                 return LogHeader.from_entries(entries, self.path)
         for at in self._frame_places():  # the channel also stands in the first chunk
-            for entries in _maps_behind(channel, self._frame(at, chunks.LARGEST)):
+            for entries in _maps_after(channel, self._frame(at, chunks.LARGEST)):
                 return LogHeader.from_entries(entries, self.path)
         raise UserError(f"{self.path} {self._what_else()}")
 
@@ -82,8 +82,8 @@ class Salvage:
         """Whether it has its end, or what it was recovered from had."""
         if self._data[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC:
             return "unfinished"
-        told = next(_maps_behind(_string(fmt.RECOVERED), self._data, self.header.binding), {})
-        return "unfinished" if told.get("from") == "unfinished" else "finished"
+        recovery = next(_maps_after(_string(fmt.RECOVERED), self._data, self.header.binding), {})
+        return "unfinished" if recovery.get("from") == "unfinished" else "finished"
 
     def _what_else(self) -> str:
         """Why a file without a header of ours may have none."""
@@ -98,7 +98,7 @@ class Salvage:
 
     def policies(self) -> dict[str, str]:
         """Agent -> digest of the policy that acted; empty if that is not readable."""
-        return next(_maps_behind(_string(fmt.POLICIES), self._data, self.header.binding), {})
+        return next(_maps_after(_string(fmt.POLICIES), self._data, self.header.binding), {})
 
     def blocks(self) -> Iterator[Rows]:
         """All steps that are whole, in order; where some are missing, a block's steps skip them."""
@@ -139,7 +139,7 @@ class Salvage:
 
     def _find_runs(self) -> Iterator[_Run]:
         """Stretches of whole records in the file as it lies, and frames that hold any."""
-        begin, count, end = (0, 0), 0, (0, 0)  # step and place of the first, and behind the last
+        begin, count, end = (0, 0), 0, (0, 0)  # step and place of the first, and after the last
         for at, step in self._records(self._data):
             if (step, at) != end:
                 if count:
@@ -189,8 +189,8 @@ def _string(text: str) -> bytes:
     return _UINT32.pack(len(text)) + text.encode()
 
 
-def _maps_behind(marker: bytes, data: _Bytes, binding: int = 0) -> Iterator[dict[str, str]]:
-    """The maps of strings behind `marker` whose checksum holds."""
+def _maps_after(marker: bytes, data: _Bytes, binding: int = 0) -> Iterator[dict[str, str]]:
+    """The maps of strings after `marker` whose checksum holds."""
     at = data.find(marker)
     while at >= 0:
         opened = unseal(_map_at(data, at + len(marker)), binding)

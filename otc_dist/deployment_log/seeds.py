@@ -40,7 +40,7 @@ class OwnSteps:
                 yield self._layout.rows(records[own].tobytes())
 
     @property
-    def told(self) -> str | None:
+    def in_words(self) -> str | None:
         """What was left out, in words; None: nothing."""
         if not self.left_out:
             return None
@@ -63,7 +63,7 @@ class SeedCheck:
     def wrong(self, rows: Rows) -> Bool:
         """(T, E): steps whose episode has another seed than its copy and number give.
 
-        Behind a gap, and behind wrong ones, an episode may have any number that is possible there.
+        After a gap, and after wrong ones, an episode may have any number that is possible there.
         """
         seeds, ends = rows["episode_seeds"], rows["terminated"] | rows["truncated"]
         found = np.zeros(seeds.shape, np.bool_)

@@ -20,7 +20,7 @@ class AlgorithmSection(Section):
         tuning_updates: L, updates after each deployment (Table 3).
         has_q: whether d_q can be used.
         discrete: whether it is for discrete actions, otherwise for continuous ones.
-        plans: whether it needs to be told the task.
+        plans: whether it needs to know the task.
         update: milliseconds of one core for an update, compiled, at Table 3's sizes
             (benchmarks/algorithms.py).
         brief: assignments with which the same code is compiled in less time.
@@ -34,7 +34,7 @@ class AlgorithmSection(Section):
     brief: ClassVar[tuple[str, ...]] = ()
 
     if TYPE_CHECKING:
-        name: str  # each section has its own, behind the fields that all have
+        name: str  # each section has its own, after the fields that all have
 
     batch_size: int = Field(default=128, ge=1, description="transitions of an update")
     discount: float = Field(default=0.99, ge=0, lt=1, description="gamma, of a step")

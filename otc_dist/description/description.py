@@ -34,7 +34,7 @@ from otc_dist.names import Name, is_code
 from otc_dist.terminal.errors import UserError
 
 # What a summary speaks of.
-TOLD = (
+SUMMARISED = (
     ("env", "id"),
     ("env", "agents"),
     ("dataset", "name"),
@@ -59,7 +59,7 @@ class Description(Section):
     """A whole run. `launch/*.toml` are descriptions; the run folder keeps the resolved one."""
 
     name: Name = Field(description="of the run's folder, with the seed")
-    summary: str = Field(default="", description="one line for people; empty: told by the settings")
+    summary: str = Field(default="", description="one line for people; empty: from the settings")
     seed: int = Field(default=0, ge=0, lt=2**31, description="of everything random")
     minibatch_key: int = Field(default=0, ge=0, description="other minibatches while tuning")
     env: EnvSection
@@ -134,8 +134,10 @@ class Description(Section):
         merged: dict[str, object] = dict(data)
         for assignment in assignments:
             assign(merged, assignment)
-        if merged.get("summary") == data.get("summary") and _told(merged) != _told(data):
-            merged["summary"] = ""  # it tells of what it was written for
+        if merged.get("summary") == data.get("summary") and _summarised(merged) != _summarised(
+            data
+        ):
+            merged["summary"] = ""  # it describes what it was written for
         try:
             return cls.model_validate(merged)
         except ValidationError as error:
@@ -172,7 +174,7 @@ class Description(Section):
 
     @property
     def heading(self) -> str:
-        """The summary, or the same told by the names of the settings."""
+        """The summary, or one from the names of the settings."""
         return self.summary or (
             f"{self.dataset.name}: {self.algorithm.name} tuned by {self.sampling.title}"
         )
@@ -235,9 +237,9 @@ def progress(deployment: int, count: int) -> float:
     return max(deployment - 1, 0) / max(count - 1, 1)
 
 
-def _told(data: dict[str, object]) -> list[object]:
+def _summarised(data: dict[str, object]) -> list[object]:
     """The values of `TOLD`, None where a section or a key is missing."""
-    sections = [(data.get(section), key) for section, key in TOLD]
+    sections = [(data.get(section), key) for section, key in SUMMARISED]
     return [section.get(key) if isinstance(section, dict) else None for section, key in sections]
 
 

@@ -39,9 +39,9 @@ class DistanceFacts:
     per_update: bool = False
 
 
-# What samplers tell before a deployment's updates. Of acceptance by rank: alpha and 𝔻 (Eq. 4); of
+# What samplers report before a deployment's updates. Of acceptance by rank: alpha and 𝔻 (Eq. 4); of
 # the others: the share of B_k that is accepted.
-TOLD = ("alpha", "similarity", "accepted")
+SAMPLER_METRICS = ("alpha", "similarity", "accepted")
 FITS = ("embedding", "dynamics")  # sections, and phases of a learner, of what distances fit
 _HERE = "otc_dist.otc.distances"
 
@@ -95,7 +95,7 @@ DISTANCES: dict[str, DistanceFacts] = {
     "random": DistanceFacts(
         f"{_HERE}.random:RandomDistance",
         "random",
-        "a random number a deployment: the control of all others",
+        "a random number per deployment: the control of all others",
     ),
 }
 

@@ -144,7 +144,7 @@ STRATEGIES = Strategies(
 def _mistake(
     problem: Any, place: tuple[str, ...], given: object, context: dict[str, object] | None = None
 ) -> ValidationError:
-    """A mistake at a place within a section, as pydantic tells those that it finds."""
+    """A mistake at a place within a section, as pydantic reports those that it finds."""
     details = InitErrorDetails(type=problem, loc=place, input=given, ctx=context or {})
     return ValidationError.from_exception_data("section", [details])
 

@@ -111,7 +111,7 @@ class DeploymentSection(Section):
         description="deploy the last tuned policy once more, so that it is measured as well",
     )
     revert: bool = Field(
-        default=False, description="tuning goes on from the best policy deployed so far"
+        default=False, description="tuning continues from the best policy deployed so far"
     )
     floor: float | None = Field(
         default=None,

@@ -2,7 +2,7 @@
 allowed it by name.
 
 A log, a data set or a run folder can name such code, and may come from somebody else. To read one
-must never run what it names. So nothing is imported but what `allow` was told of in this process:
+must never run what it names. So nothing is imported but what `allow` was given in this process:
 by a description that is run, by a name on the command line, by `--allow module:function`, or by
 `allow=` in Python.
 """
@@ -122,7 +122,7 @@ def answers_for(*references: str, but: tuple[type[Exception], ...] = ()) -> Iter
     the user's own then, and of ours if none is.
 
     Args:
-        but: exceptions that tell of something else.
+        but: exceptions that mean something else.
     """
     named = " or ".join(filter(is_code, references))
     try:

@@ -13,7 +13,7 @@ Reaching the landmark brings 10 and ends the episode. The paper leaves open, and
   lie close enough to those of the data to be compared with them.
 - The landmark is reached below a distance of 0.1, where agents collide with the prey in
   Predator-Prey.
-- beta is part of the state but not observed: an agent that saw it could tell the data apart.
+- beta is part of the state but not observed: an agent that saw it could distinguish the data.
 """
 
 from dataclasses import replace

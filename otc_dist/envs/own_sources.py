@@ -50,8 +50,8 @@ def digests(module: str, loaded: Collection[str]) -> dict[str, str]:
 
 def _file(name: str) -> Path | None:
     """The file of a module that was imported; None if there is none, whatever the module says."""
-    told = getattr(sys.modules.get(name), "__file__", None)
-    file = Path(told).absolute() if told else None
+    file_name = getattr(sys.modules.get(name), "__file__", None)
+    file = Path(file_name).absolute() if file_name else None
     return file if file and file.is_file() else None
 
 

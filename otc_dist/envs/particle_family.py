@@ -76,7 +76,7 @@ def states_of(env_id: str, observations: Float32) -> Float64 | None:
     """
     if env_id == navigation.ENV_ID:
         return None
-    return np.pad(observations.astype(np.float64), ((0, 0), (1, 0)))  # behind the elapsed steps
+    return np.pad(observations.astype(np.float64), ((0, 0), (1, 0)))  # after the elapsed steps
 
 
 def make(env_id: str, copies: int, progress: float | None) -> BatchedEnv:

@@ -62,7 +62,7 @@ def never(observation: Any) -> Any:
 class Particles:
     """E copies of points in a square: the part of a `BatchedEnv` that all particle tasks share.
 
-    Positions are float32, like the observations, which therefore tell the whole state. A reset
+    Positions are float32, like the observations, which therefore give the whole state. A reset
     places all points uniformly at random in the arena.
 
     Raises:

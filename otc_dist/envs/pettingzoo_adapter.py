@@ -123,7 +123,7 @@ def _made(env_id: str) -> Any:  # PettingZoo is untyped
         )
     if not agents:
         raise UserError(
-            f"{env_id} gave {type(made).__name__}, which is no ParallelEnv of PettingZoo with"
+            f"{env_id} gave {type(made).__name__}, which is not a PettingZoo ParallelEnv with"
             " `possible_agents`"
         )
     _brought.setdefault(env_id, frozenset(sys.modules) - before)

@@ -41,7 +41,7 @@ class Agent:
     spec: AgentSpec
     seen: Box | Discrete
     done: Box | Discrete
-    room: Bool  # (A,) of a `Box` action's A entries, which have more than one value
+    free: Bool  # (A,) of a `Box` action's A entries, which have more than one value
 
     @property
     def whole(self) -> bool:
@@ -59,7 +59,7 @@ class Agent:
         low, high = np.array((self.spec.action_low, self.spec.action_high), np.float32)
         clipped = np.clip(actions, low, high)
         rows = np.tile(space.low.reshape(1, -1), (len(actions), 1))
-        rows[:, self.room] = np.rint(clipped) if self.whole else clipped
+        rows[:, self.free] = np.rint(clipped) if self.whole else clipped
         # Once more: a bound that is no float32 may lie beside the nearest one that is.
         np.minimum(np.maximum(rows, space.low.ravel(), out=rows), space.high.ravel(), out=rows)
         return list(rows.reshape(len(actions), *space.shape))
@@ -83,9 +83,9 @@ class Admitted:
         if whole := [agent.spec.name for agent in self.agents if agent.whole]:
             yield f"actions of {', '.join(whole)} are rounded to whole numbers"
         for agent in self.agents:
-            if fixed := int((~agent.room).sum()):
+            if fixed := int((~agent.free).sum()):
                 yield (
-                    f"{fixed} of {len(agent.room)} entries of the actions of {agent.spec.name}"
+                    f"{fixed} of {len(agent.free)} entries of the actions of {agent.spec.name}"
                     " have one value only: they are filled in"
                 )
 
@@ -151,9 +151,9 @@ def _agent(env_id: str, env: Any, key: Hashable) -> Agent:
     if choices:
         spec = AgentSpec(name, size + choices, (0.0,), (choices - 1.0,), choices=choices)
         return Agent(key, spec, seen, done, np.ones(1, np.bool_))
-    room = _room(f"{env_id}: {name} acts in {checks.shown(done)}", done)
-    low, high = (tuple(map(float, np.ravel(bound)[room])) for bound in (done.low, done.high))
-    return Agent(key, AgentSpec(name, size, low, high), seen, done, room)
+    free = _free_entries(f"{env_id}: {name} acts in {checks.shown(done)}", done)
+    low, high = (tuple(map(float, np.ravel(bound)[free])) for bound in (done.low, done.high))
+    return Agent(key, AgentSpec(name, size, low, high), seen, done, free)
 
 
 def _size(space: Box | Discrete) -> int:
@@ -164,7 +164,7 @@ def _whole(space: Box) -> bool:
     return np.dtype(space.dtype).kind in "biu"
 
 
-def _room(where: str, space: Box) -> Bool:
+def _free_entries(where: str, space: Box) -> Bool:
     """Which entries of an action have more than one value, (A,), all of them checked."""
     low, high = (np.ravel(bound).astype(np.float64) for bound in (space.low, space.high))
     if not space.is_bounded() or not np.isfinite((low, high)).all():
@@ -172,17 +172,15 @@ def _room(where: str, space: Box) -> Bool:
     if (low > high).any():
         raise UserError(f"{where}; a lower bound is above its upper one")
     if _whole(space) and max(np.abs(low).max(), np.abs(high).max()) > _EXACT:
-        raise UserError(
-            f"{where}; float32 does not tell whole numbers beyond {_EXACT:,} from each other"
-        )
-    room: NDArray[np.bool_] = low < high
-    if not room.any():
+        raise UserError(f"{where}; float32 cannot distinguish whole numbers beyond {_EXACT:,}")
+    free: NDArray[np.bool_] = low < high
+    if not free.any():
         raise UserError(f"{where}, in which there is nothing to choose")
     with np.errstate(over="ignore", invalid="ignore"):
-        bounds = np.stack((low, high)).astype(np.float32)[:, room]
+        bounds = np.stack((low, high)).astype(np.float32)[:, free]
         scale, centre = (bounds[1] - bounds[0]) / 2, bounds.sum(axis=0)
     if not (np.isfinite(scale) & np.isfinite(centre) & (scale > 0)).all():
         raise UserError(
             f"{where}; float32 cannot scale that to [-1, 1] and back: choose other bounds"
         )
-    return room
+    return free

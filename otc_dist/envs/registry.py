@@ -90,7 +90,7 @@ def random_data(env_id: str) -> RandomData | None:
 
 
 def task(env_id: str) -> Task | None:
-    """Reward and termination as one agent can tell them; None if the task does not say."""
+    """Reward and termination as one agent can compute them; None if the task does not say."""
     task_of = _family(env_id).task
     return task_of(env_id) if task_of else None
 
@@ -115,7 +115,7 @@ def time_limit(env_id: str) -> int:
 
 def shares_reward(env_id: str) -> bool:
     """Whether all agents are sure to get one reward. An environment of the user's own may give
-    each its own, which only its data tell.
+    each its own, which only its data show.
     """
     return _family(env_id).shares_reward or len(team_spec(env_id).agents) == 1
 
@@ -130,7 +130,7 @@ def changes(env_id: str) -> bool:
 
 def states_of(env_id: str, observations: Float32) -> Float64 | None:
     """Simulator states (N, state_size), for `set_state`, in which `observations` (N, s) are made at
-    the first step of an episode. None for a task whose observations do not tell its state.
+    the first step of an episode. None for a task whose observations do not give its state.
 
     Raises UserError if unknown.
     """

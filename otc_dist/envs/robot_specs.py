@@ -147,7 +147,7 @@ def states_of(env_id: str, observations: Float32) -> Float64:
     """
     robot, _ = PARTITIONS[env_id]
     states = np.zeros((len(observations), robot.state_size))
-    states[:, 2 : 2 + robot.observation_size] = observations  # behind the forward position
+    states[:, 2 : 2 + robot.observation_size] = observations  # after the forward position
     return states
 
 

@@ -38,7 +38,7 @@ class RobotEnv:
         self._qvel: Float64 = self._batch.bind("qvel")
         self._warmstart: Float64 = self._batch.bind("qacc_warmstart")
         self._ctrl: Float64 = self._batch.bind("ctrl")
-        # What an agent sees, and what tells whether the robot has fallen.
+        # What an agent sees, and what says whether the robot has fallen.
         self._seen: tuple[Float64, Float64] = (self._qpos[:, 1:], self._qvel)
         self._forward: Float64 = self._qpos[:, 0]
         self._healthy = _healthy_range(self._robot)
@@ -65,7 +65,7 @@ class RobotEnv:
                 self._qvel[copy] = scale * rng.standard_normal(robot.joints)
             else:
                 self._qvel[copy] = rng.uniform(-scale, scale, robot.joints)
-        # As gymnasium's set_state: the forward pass leaves the solver's warm start behind.
+        # As gymnasium's set_state: the forward pass leaves a warm start for the solver.
         self._batch.forward(ids)
         self._elapsed[ids] = 0
         self._moved()

@@ -42,7 +42,7 @@ class Rollout:
     by advancing a new one with the logged actions.
 
     Args:
-        episodes: how many an evaluation counts, spread evenly over the copies; None: one a copy.
+        episodes: how many an evaluation counts, spread evenly over the copies; None: one per copy.
     """
 
     def __init__(

@@ -71,7 +71,7 @@ def team_spec(env_id: str) -> TeamSpec:
 class SkirmishEnv:
     """E battles, a `BatchedEnv` with discrete actions.
 
-    An episode terminates when one side is dead; who is left has won. At the limit of 70 steps it
+    An episode terminates when one side is dead; the other has won. At the limit of 70 steps it
     is truncated.
 
     Raises:

@@ -2,7 +2,7 @@
 
 The package (`oxwhirl/smac`), StarCraft II and SMAC's maps are the user's to install; nothing of
 them is imported before an environment is asked for. Observations are SMAC's, with the mask of the
-available actions behind them. What the game does not offer is not offered here:
+available actions after them. What the game does not offer is not offered here:
 
 - A seed: an episode cannot be chosen. The game process of a copy is given its first episode's
   seed, and goes on from there, so neither runs nor data sets are repeatable.
@@ -97,7 +97,7 @@ def _game(env_id: str, seed: int | None = None) -> Any:
     known, name = maps.get_smac_map_registry(), env_id.removeprefix(PREFIX)
     if name not in known:
         raise unknown("SMAC map", name, known)
-    # With `continuing_episode`, infos tell an end at the limit from a battle's.
+    # With `continuing_episode`, infos distinguish an end at the limit from a battle's.
     return made(map_name=name, seed=seed, continuing_episode=True)
 
 

@@ -1,7 +1,7 @@
 """Maps of SMAX, JaxMARL's skirmish, against its own heuristic enemy: "smax/5m_vs_6m".
 
 SMAX has other rules than SMAC, and other observations, actions, limit and reward: what it gives
-is passed on, with the mask of the available actions behind the observation. JaxMARL is an extra
+is passed on, with the mask of the available actions after the observation. JaxMARL is an extra
 (about 1 GB); it and JAX are imported when an environment is asked for, which takes seconds, and
 its first reset and step compile for as long again.
 

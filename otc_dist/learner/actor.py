@@ -1,6 +1,6 @@
 """How a policy acts: an agent's actions for its observations, and the random numbers for them.
 
-Learners, replays and whoever loads a policy act by this and by nothing else, so that the same
+Learners, replays and all code that loads a policy act by this and by nothing else, so that the same
 policy gives the same actions, to the bit.
 """
 

@@ -21,7 +21,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True)
-class Progressed:
+class CheckpointMetadata:
     """What a checkpoint says beside its tensors.
 
     Attributes:
@@ -66,7 +66,9 @@ def joined(states: Mapping[str, Mapping[str, NDArray[np.generic]]]) -> Arrays:
     return {f"{part}.{key}": x for part, state in states.items() for key, x in state.items()}
 
 
-def write(path: Path, arrays: Mapping[str, NDArray[np.generic]], progressed: Progressed) -> None:
+def write(
+    path: Path, arrays: Mapping[str, NDArray[np.generic]], progressed: CheckpointMetadata
+) -> None:
     """Write atomically: a crash leaves the old file or the new one.
 
     Raises:
@@ -81,7 +83,7 @@ def write(path: Path, arrays: Mapping[str, NDArray[np.generic]], progressed: Pro
         raise UserError(f"cannot write the checkpoint {path}: {error.strerror}") from None
 
 
-def read(path: Path) -> tuple[Arrays, Progressed]:
+def read(path: Path) -> tuple[Arrays, CheckpointMetadata]:
     """Read and check a checkpoint.
 
     Raises:
@@ -102,10 +104,12 @@ def read(path: Path) -> tuple[Arrays, Progressed]:
         raise UserError(
             f"the checkpoint {path} has format {version!r:.60}; this version reads {FORMAT}"
         )
-    return arrays, records.from_json(Progressed, json.dumps(about), f"the checkpoint {path}")
+    return arrays, records.from_json(
+        CheckpointMetadata, json.dumps(about), f"the checkpoint {path}"
+    )
 
 
-def read_own(path: Path, mine: Progressed) -> tuple[dict[str, Arrays], Progressed]:
+def read_own(path: Path, mine: CheckpointMetadata) -> tuple[dict[str, Arrays], CheckpointMetadata]:
     """Read a checkpoint, by `parts`, that is `mine` to go on from.
 
     One of offline training fits every description that differs only in how it tunes.

@@ -16,7 +16,7 @@ Report = Callable[[str, int, int, dict[str, float]], None]  # of which, updates 
 
 
 class Fits:
-    """The fits that a description needs, and further ones that its checkpoints shall hold.
+    """The fits that a description needs, and further ones that its checkpoints are to hold.
 
     Args:
         further: distances that other descriptions use, which start from the same policy.

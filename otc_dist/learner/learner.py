@@ -28,7 +28,7 @@ from otc_dist.learner.trainer import Phase, Progress, Report, Trainer, fused_upd
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
 from otc_dist.otc.distances.interface import Setting
-from otc_dist.otc.samplers.interface import Begun, Held, Sampler
+from otc_dist.otc.samplers.interface import MergedData, Preparation, Sampler
 from otc_dist.otc.samplers.offline import offline_sampler, prepared
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec, Task
@@ -45,7 +45,7 @@ class Learner:
 
     Args:
         data: B_0.
-        task: what the task asks for, if the environment tells; algorithms that plan need it.
+        task: what the task asks for, if the environment says; algorithms that plan need it.
         place: the agent's number and the size of its team, for tuning in turns.
         sampler: in place of the described one: an analysis's, who may know more than an agent.
         fits: further distances whose fits to B_0 `pretrain` makes and checkpoints keep, for other
@@ -216,15 +216,15 @@ class Learner:
         )
         self.tuned = deployment
 
-    def _begin(self, deployment: int) -> Begun:
+    def _begin(self, deployment: int) -> Preparation:
         """What the sampler prepares; what it keeps for the next deployment is kept."""
         with torch.no_grad():
             begun = self._sampler.begin(self._held(deployment))
         self._kept = begun.kept
         return begun
 
-    def _held(self, deployment: int) -> Held:
-        return Held(
+    def _held(self, deployment: int) -> MergedData:
+        return MergedData(
             self._state,
             self._experience.data,
             self._experience.extent,
@@ -241,7 +241,7 @@ class Learner:
         """Write a checkpoint, atomically. Raises UserError if it cannot be written."""
         states = {"algorithm": self._state, **self._fits.states()}
         arrays = checkpoint.joined({name: to_arrays(state) for name, state in states.items()})
-        checkpoint.write(path, arrays, self._progressed())
+        checkpoint.write(path, arrays, self._metadata())
 
     def load(self, path: Path) -> None:
         """Take over a checkpoint's state; `restore` then merges D_1 .. D_tuned again.
@@ -252,7 +252,7 @@ class Learner:
         Raises:
             UserError: missing, damaged, or not this learner's: see `checkpoint.read_own`.
         """
-        states, found = checkpoint.read_own(path, self._progressed())
+        states, found = checkpoint.read_own(path, self._metadata())
         self._state = to_tensors(states["algorithm"], self._engine.device)
         self._offline_updates = found.offline_updates
         self.tuned = found.tuned
@@ -263,7 +263,7 @@ class Learner:
 
     def check(self, path: Path) -> None:
         """Whether `load` could take over a checkpoint. Raises UserError as it does."""
-        checkpoint.read_own(path, self._progressed())
+        checkpoint.read_own(path, self._metadata())
 
     def restore(self, online: Sequence[Transitions]) -> None:
         """After `load`: merge D_1 .. D_tuned again, in order."""
@@ -278,7 +278,7 @@ class Learner:
         Raises:
             UserError: as `load`.
         """
-        earlier = checkpoint.read_own(path, self._progressed())[0]["algorithm"]
+        earlier = checkpoint.read_own(path, self._metadata())[0]["algorithm"]
         own = {name: x for name, x in self._state.items() if name.startswith("sampler_")}
         kept = {name: x for name, x in earlier.items() if not name.startswith("sampler_")}
         self._state = {**to_tensors(kept, self._engine.device), **own}
@@ -286,8 +286,8 @@ class Learner:
     def _stream(self, *key: int | str) -> np.random.Generator:
         return stream(self.description.seed, self._agent, *key)
 
-    def _progressed(self) -> checkpoint.Progressed:
-        return checkpoint.Progressed(
+    def _metadata(self) -> checkpoint.CheckpointMetadata:
+        return checkpoint.CheckpointMetadata(
             agent=self._agent,
             offline_digest=self.description.offline_digest(),
             run_digest=self.description.tuning_digest(),

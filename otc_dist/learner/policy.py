@@ -24,7 +24,7 @@ from otc_dist.spec import AgentSpec
 from otc_dist.steps.noise import to_tensors
 from otc_dist.steps.state import State
 from otc_dist.system import durable
-from otc_dist.terminal.errors import UserError, told
+from otc_dist.terminal.errors import UserError, os_error_line
 from otc_dist.transitions import Float32, all_finite
 
 _MOST_NOISE = 2**24  # random numbers for one observation; more is a mistake in a file, or worse
@@ -69,7 +69,7 @@ class Policy:
 
         Args:
             path: a run's folder, or one checkpoint in it (`RUN/agents/AGENT/checkpoint_03.*`): the
-                run's `description.toml` tells what the tensors of a checkpoint mean.
+                run's `description.toml` says what the tensors of a checkpoint mean.
             agent: whose policy, by name; may be left out where there is one agent.
             deployment: k of pi_k, the policy tuned on the deployments 1 .. k; 0 is the offline one.
                 Left out, it is the one that the finished run recommends.
@@ -185,7 +185,7 @@ class Policy:
         try:
             durable.write(path, content)
         except OSError as error:
-            raise UserError(f"cannot write {path}: {told(error)}") from None
+            raise UserError(f"cannot write {path}: {os_error_line(error)}") from None
 
     def __repr__(self) -> str:
         name = self.description.algorithm.name
@@ -201,7 +201,7 @@ def _needed(actor: Actor, learned: State, path: Path) -> State:
     specs = actor.algorithm.acting_noise_spec(1)
     if sum(np.prod(shape, dtype=np.float64) for _, shape in specs.values()) > _MOST_NOISE:
         raise UserError(f"the run of {path} needs too many random numbers for one observation")
-    seen = _Seen(learned)
+    seen = _RecordingState(learned)
     ones = np.ones((1, actor.spec.observation_size), np.float32)
     try:
         actions = actor.act(seen, ones, "evaluation", 0, 0)
@@ -217,7 +217,7 @@ def _needed(actor: Actor, learned: State, path: Path) -> State:
     return needed
 
 
-class _Seen(State):
+class _RecordingState(State):
     """A state that notes which of its tensors are read."""
 
     def __init__(self, state: State) -> None:
@@ -231,7 +231,7 @@ class _Seen(State):
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """As learners compute: sums that are split over threads round otherwise."""
+    """As learners compute: sums that are split over threads round differently."""
     before = torch.get_num_threads()
     if before == 1:  # to set it is not free
         yield

@@ -56,7 +56,7 @@ def chosen(path: Path, agent: str | None, deployment: int | None) -> Choice:
         agent = checkpoint.absolute().parent.name
     elif agent is None:
         if len(team.names) > 1:
-            raise UserError(f"{path} is of {', '.join(team.names)}: say of which, by agent=")
+            raise UserError(f"{path} is of {', '.join(team.names)}: choose one with agent=")
         (agent,) = team.names
     if agent not in team.names:
         raise unknown("agent", agent, team.names)
@@ -67,9 +67,9 @@ def chosen(path: Path, agent: str | None, deployment: int | None) -> Choice:
 
 def _no_run(path: Path, folder: RunFolder) -> str:
     if path.is_dir():
-        return f"{path} is no run's folder: it has no {folder.description.name}"
+        return f"{path} is not a run folder: it has no {folder.description.name}"
     return (
-        f"{path} lies in no run's folder: what its tensors mean tells {folder.description.name},"
+        f"{path} is not in a run folder: what its tensors mean is in {folder.description.name},"
         " two folders above it"
     )
 

@@ -50,9 +50,9 @@ def export(actor: Actor, state: State, about: Mapping[str, object], suffix: str)
     }
     example = {"observations": torch.ones(_TRACED, actor.spec.observation_size)}
     example |= {name: torch.from_numpy(array) for name, array in noise.items()}
-    told = json.dumps({**about, "noise": described})
+    metadata = json.dumps({**about, "noise": described})
     with _silent():
-        return writers[suffix](_Example(_Module(actor, state, tuple(noise)), example), told)
+        return writers[suffix](_Example(_Module(actor, state, tuple(noise)), example), metadata)
 
 
 class _Module(torch.nn.Module):

@@ -31,9 +31,9 @@ examples:
   python -m otc_dist.replay damaged.mcap --recover --out whole.mcap
 
 exit status: 0 all is well; 1 --verify found something wrong, --recover something missing, or a
-learner that --publish asked acts otherwise than the log; 2 a mistake to mend; 3 --verify in another
-version of the simulator, where bits may differ; 4 --verify of a log of the older form, which does
-not say of its steps whose they are.
+learner that --publish asked acts differently from the log; 2 a mistake to fix; 3 --verify in
+another version of the simulator, where bits may differ; 4 --verify of a log of the older form,
+whose steps do not say which run they are from.
 """
 
 
@@ -109,7 +109,7 @@ _ONLY_FOR = {
 
 
 def main(argv: list[str]) -> int:
-    """Run one action; its exit status. Raises UserError for what the user can mend."""
+    """Run one action; its exit status. Raises UserError for what the user can fix."""
     parser = command_line()
     arguments = parser.parse_args(argv)
     chosen = next((a for a in _ACTIONS if getattr(arguments, a.name)), None)
@@ -136,7 +136,7 @@ def _check(given: Mapping[str, str], action: _Action | None, arguments: argparse
     if action and action.metavar and action.metavar.startswith("OUT"):
         ending, out = Path(action.metavar).suffix, Path(getattr(arguments, action.name))
         if out.suffix.lower() not in ("", ending):
-            raise UserError(f"{chosen} writes {ending}, and {out} is called otherwise")
+            raise UserError(f"{chosen} writes {ending}, and {out} ends differently")
 
 
 def command_line() -> Parser:

@@ -76,9 +76,15 @@ def _write_tunings(
     channels: FoxgloveChannels, tunings: Tunings, deployment: int, log_time: int
 ) -> None:
     for agent, by_deployment in tunings.items():
-        told = by_deployment[deployment].told if deployment in by_deployment else {}
-        if "alpha" in told and "similarity" in told:  # only acceptance by rank has them
-            channels.write_tuning(agent, log_time, deployment, told["alpha"], told["similarity"])
+        sampler_metrics = (
+            by_deployment[deployment].sampler_metrics if deployment in by_deployment else {}
+        )
+        if (
+            "alpha" in sampler_metrics and "similarity" in sampler_metrics
+        ):  # only acceptance by rank has them
+            channels.write_tuning(
+                agent, log_time, deployment, sampler_metrics["alpha"], sampler_metrics["similarity"]
+            )
 
 
 def _tunings_beside(path: Path) -> Tunings:

@@ -30,7 +30,7 @@ _FAREWELL = 5.0  # seconds that learners may take to leave once all is done
 
 
 class OtherActionError(Exception):
-    """A learner answers otherwise than the log. The message is one line."""
+    """A learner answers differently from the log. The message is one line."""
 
 
 class LogHost:
@@ -85,12 +85,12 @@ class LogHost:
         self._heartbeat.publish()
 
     def moment(self, phase: Phase, deployment: int, step: int) -> Moment:
-        """Of a question now; the status tells of it."""
+        """Of a question now; the status reports it."""
         self._status = replace(self._status, update=step)
         return Moment(phase, deployment, self._epoch, step)
 
 
-class Teller:
+class LogPublisher:
     """Publishes what was asked and what was answered, and waits for nobody."""
 
     def __init__(self, host: LogHost) -> None:
@@ -100,7 +100,7 @@ class Teller:
         self._ask = [session.publisher(keys.observation(name)) for name in host.names]
         self._act = [session.publisher(keys.action(name)) for name in host.names]
 
-    def tell(
+    def publish(
         self, deployment: int, total: int, steps: Iterable[JointStep], policies: Mapping[str, str]
     ) -> None:
         """Publish each step's questions and answers, of all agents."""
@@ -109,7 +109,7 @@ class Teller:
         before: JointStep | None = None
         for step in steps:
             moment = host.moment("deployment", deployment, step.step)
-            # A question tells the outcome of the step before it; behind a gap there is none.
+            # A question carries the outcome of the step before it; after a gap there is none.
             known = step.step == 0 or (before is not None and before.step == step.step - 1)
             for place, index in enumerate(host.indices):
                 codec = self._codecs[place]
@@ -122,7 +122,7 @@ class Teller:
             before = step
 
 
-class Asker:
+class AnswerChecker:
     """Asks the agents' learners what the log was asked, and holds them to its answers."""
 
     def __init__(self, host: LogHost) -> None:
@@ -142,7 +142,7 @@ class Asker:
         """Ask each step, and go on when all have answered; `steps` are all of the deployment.
 
         Raises:
-            OtherActionError: a learner answers otherwise than the log.
+            OtherActionError: a learner answers differently from the log.
             GaveUpError: one shows no sign of life for as long as the run's description allows.
         """
         host = self._host
@@ -186,6 +186,6 @@ def _check(name: str, answer: Action, step: JointStep, index: int, policy: str) 
         )
     if answer.actions is None or answer.actions.tobytes() != step.actions[index].tobytes():
         raise OtherActionError(
-            f"{name} acts otherwise in step {step.step} than in the log, though by the same policy:"
-            " this machine computes other bits"
+            f"{name} acts differently in step {step.step} from the log, although by the same"
+            " policy: this machine computes different bits"
         )

@@ -24,7 +24,7 @@ def note_shortfall(summary: LogSummary) -> None:
 
 @contextmanager
 def ended_in_order() -> Iterator[None]:
-    """Told to end by SIGTERM, a command ends as by Ctrl-C: nothing half-written is left behind."""
+    """On SIGTERM, a command ends as on Ctrl-C: nothing half-written is left."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield

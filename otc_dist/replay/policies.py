@@ -71,7 +71,7 @@ def _check(
     summary: LogSummary, policy: "Policy", index: int, steps: Iterable[JointStep]
 ) -> Verdict:
     name, digest = policy.spec.name, policy.digest
-    recorded = summary.policies.get(name, digest)  # an unfinished log does not tell
+    recorded = summary.policies.get(name, digest)  # an unfinished log does not say
     if recorded != digest:
         return Verdict(name, False, f"policy {recorded} acted, but its checkpoint holds {digest}")
     count, k = 0, summary.header.deployment
@@ -79,7 +79,7 @@ def _check(
         observations, exploring = step.observations[index], step.exploring[index]
         actions = policy.act_as(observations, "deployment", k, step.step, exploring=exploring)
         if actions.tobytes() != step.actions[index].tobytes():
-            text = f"policy {digest} acts otherwise than was logged in step {step.step:,}"
+            text = f"policy {digest} acts differently from the log in step {step.step:,}"
             return Verdict(name, False, text)
         count += 1
     return Verdict(name, True, f"policy {digest}, actions of {count:,} steps computed again")

@@ -28,7 +28,7 @@ from otc_dist.deployment_log.reader import (
 )
 from otc_dist.deployment_log.several import in_order
 from otc_dist.description import Description, user_code
-from otc_dist.replay.log_host import Asker, LogHost, OtherActionError, Teller
+from otc_dist.replay.log_host import AnswerChecker, LogHost, LogPublisher, OtherActionError
 from otc_dist.replay.output import note_shortfall
 from otc_dist.replay.selection import Selection, select
 from otc_dist.run.folder import RunFolder
@@ -47,7 +47,7 @@ LONGEST_GAP = 5.0  # seconds of a log's own time between two steps that are wait
 def run(arguments: argparse.Namespace) -> int:
     """Publish the logs in order of their deployments.
 
-    Returns 1 if a learner acts otherwise than the log, or shows no sign of life any more.
+    Returns 1 if a learner acts differently from the log, or shows no sign of life any more.
 
     Raises:
         UserError: logs of several runs, or with steps missing for learners; nobody listens; ...
@@ -55,10 +55,10 @@ def run(arguments: argparse.Namespace) -> int:
     headers = {path: read_header(path) for path in arguments.files}
     paths = in_order(headers)
     first = headers[paths[0]]
-    told = {(header.run, header.description_digest) for header in headers.values()}
-    if len(told) > 1:
+    runs = {(header.run, header.description_digest) for header in headers.values()}
+    if len(runs) > 1:
         raise UserError("the logs are of several runs: publish one at a time")
-    # Of the last, which tells of all deployments, should the run have been extended.
+    # Of the last, which describes all deployments, should the run have been extended.
     last = headers[paths[-1]].description
     description = Description.parse(last, source=f"the description in {paths[-1]}")
     summaries = [read_summary(path) for path in paths]
@@ -77,20 +77,20 @@ def run(arguments: argparse.Namespace) -> int:
             if arguments.learners:
                 _ask(arguments, host, parts)
             else:
-                _tell(arguments, host, parts)
+                _publish(arguments, host, parts)
         except (GaveUpError, OtherActionError) as error:
             say(f"error: {error}", file=sys.stderr)
             return 1
     return 0
 
 
-def _tell(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -> None:
-    teller = Teller(host)
+def _publish(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -> None:
+    publisher = LogPublisher(host)
     _wait_for_somebody(host)
     with host:
         for summary, selection in parts:
             steps = _steps(summary, selection, arguments.rate or 1.0)
-            teller.tell(summary.header.deployment, summary.end, steps, summary.policies)
+            publisher.publish(summary.header.deployment, summary.end, steps, summary.policies)
 
 
 def _ask(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -> None:
@@ -99,13 +99,13 @@ def _ask(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -> No
         f" python -m otc_dist.services.learner --run {arguments.run} --agent NAME",
         file=sys.stderr,
     )
-    asker = Asker(host)
+    checker = AnswerChecker(host)
     with host:
-        asker.wait_for_learners()
+        checker.wait_for_learners()
         for summary, selection in parts:
             steps = _steps(summary, selection, arguments.rate)
-            asker.ask(summary.header.deployment, summary.end, steps, summary.policies)
-        asker.end(parts[-1][0].header.deployment)
+            checker.ask(summary.header.deployment, summary.end, steps, summary.policies)
+        checker.end(parts[-1][0].header.deployment)
 
 
 def _steps(summary: LogSummary, selection: Selection, rate: float | None) -> Iterator[JointStep]:
@@ -124,8 +124,8 @@ def _steps(summary: LogSummary, selection: Selection, rate: float | None) -> Ite
                 before = logged
                 if rate is not None:
                     if gap > LONGEST_GAP:
-                        told = f"the log's clock went on by {gap:,.0f} s before step {step.step}"
-                        print(f"{told}: {LONGEST_GAP:g} s are waited", file=sys.stderr)
+                        runs = f"the log's clock jumped by {gap:,.0f} s before step {step.step}"
+                        print(f"{runs}: waiting {LONGEST_GAP:g} s instead", file=sys.stderr)
                     due += max(0.0, min(gap, LONGEST_GAP)) / rate
                     time.sleep(max(0.0, due - time.monotonic()))
                 yield step
@@ -184,7 +184,7 @@ def _prepare_learners(
                 " would differ"
             )
         if missing := set(team.names) - set(summary.policies):
-            raise UserError(f"{path} does not tell which policy acted for {min(missing)}")
+            raise UserError(f"{path} does not say which policy acted for {min(missing)}")
     folder, header = RunFolder(arguments.run), parts[0][0].header
     try:
         folder.root.mkdir(parents=True, exist_ok=True)

@@ -24,15 +24,15 @@ def run(arguments: argparse.Namespace) -> int:
         UserError: two files and one `--out`, an output that exists, no whole step, a full disk.
     """
     if arguments.out is not None and len(arguments.files) > 1:
-        raise UserError("--out names one file, but there are several to recover; do without it")
+        raise UserError("--out names one file, but there are several to recover; leave it out")
     complete = True  # of all
     for path in arguments.files:
         out = arguments.out or recovered_path(path)
         left_out = recover(path, out, force=arguments.force)
         with OpenLog(out) as log:
             extent = log.extent
-        told = f"{out}: {extent.shortfall or f'all of {extent.count}'}; missing: {extent.missing}"
-        say(f"{told}; {left_out}" if left_out else told)
+        line = f"{out}: {extent.shortfall or f'all of {extent.count}'}; missing: {extent.missing}"
+        say(f"{line}; {left_out}" if left_out else line)
         complete = complete and extent.complete
     return 0 if complete else 1
 
@@ -59,7 +59,7 @@ def recover(path: Path, out: Path, *, force: bool) -> str | None:
         write_finished(
             unfinished, found.header, steps, found.policies(), recovered_from=found.source
         )
-    return own.told
+    return own.in_words
 
 
 def _reported(found: Salvage, own: OwnSteps, report: Report) -> Iterator[Rows]:
@@ -70,6 +70,6 @@ def _reported(found: Salvage, own: OwnSteps, report: Report) -> Iterator[Rows]:
         report(found.searched, found.size)
         yield rows
     if not some:
-        told = f"; {own.told}" if own.told else ""
-        raise UserError(f"{found.path} holds no whole step{told}")
+        line = f"; {own.in_words}" if own.in_words else ""
+        raise UserError(f"{found.path} holds no whole step{line}")
     report(found.size, found.size)

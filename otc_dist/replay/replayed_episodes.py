@@ -24,7 +24,7 @@ from otc_dist.transitions import Bool, Float32, Float64, JointStep
 
 @dataclass(frozen=True)
 class Difference:
-    """Where an episode first comes out otherwise than it was logged."""
+    """Where an episode first differs from the log."""
 
     step: int
     copy: int
@@ -50,7 +50,7 @@ class OneStepErrors:
 
     observations: Float64
     rewards: Float64
-    ends: int  # steps that end otherwise
+    ends: int  # steps that end differently
 
 
 def simulator(log: OpenLog) -> BatchedEnv:
@@ -87,7 +87,7 @@ def other_versions(log: OpenLog, env: BatchedEnv) -> list[str]:
         f"{name} {there.get(name, '?')} there, {version} here"
         for name, version in here.items()
         if there.get(name) != version
-        and (name in there or not name.endswith(" sha256"))  # older logs tell fewer of them
+        and (name in there or not name.endswith(" sha256"))  # older logs name fewer of them
     ]
 
 

@@ -30,7 +30,9 @@ def step_range(text: str) -> tuple[int, int | None]:
         if not colon or start < 0 or (stop is not None and stop <= start):
             raise ValueError
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no range of steps, as 100:200") from None
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a range of steps such as 100:200"
+        ) from None
     return start, stop
 
 

@@ -136,7 +136,7 @@ def _when(summary: LogSummary) -> str:
 
 
 def _transitions(steps: int, summary: LogSummary) -> str:
-    return f"{_count(steps * summary.header.copies, 'transition', 'transitions')} an agent"
+    return f"{_count(steps * summary.header.copies, 'transition', 'transitions')} per agent"
 
 
 def _count(number: int, one: str, many: str) -> str:

@@ -89,7 +89,7 @@ def _binding(header: LogHeader, *, accept: bool) -> Finding:
     if header.bound:
         return 0, f"every step is of run {header.run}, deployment {header.deployment}"
     text = (
-        f"log version {header.format_version}: its checksums do not tell whether a step is of"
+        f"log version {header.format_version}: its checksums do not say whether a step is of"
         " another run, deployment or description"
     )
     return (0, f"unbound, as accepted: {text}") if accept else (UNBOUND, text)
@@ -123,7 +123,7 @@ def _description(summary: LogSummary, selection: Selection, steps: Steps) -> Ite
 
 def _length(extent: Extent) -> Finding:
     if extent.scheduled is None:
-        return None, "its length, which its description does not tell"
+        return None, "its length, which its description does not give"
     if extent.whole:
         return 0, f"as many as its description asks for: {extent.scheduled:,}"
     failed = (extent.finished or extent.recovered) and not extent.complete

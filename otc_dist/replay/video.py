@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     scene = timelines[0][1].scene
     with claimed(out, force=arguments.force) as path:
         seconds = Fraction(scene.seconds if scene else 1).limit_denominator(10_000)
-        every = max(1, round(1 / (_RATE * seconds)))  # steps a frame
+        every = max(1, round(1 / (_RATE * seconds)))  # steps per frame
         total = sum(len(range(0, len(timeline), every)) for _, timeline in timelines)
         with av.open(path, "w", format="mp4") as film, shown(out.name, "frames") as report:
             stream = film.add_stream("libx264", rate=1 / (every * seconds))

@@ -1,6 +1,6 @@
 """The files of a run folder that a report reads, each checked field by field.
 
-What a report does not tell is passed over; a field that it tells must be what it is said to be.
+What a report does not use is passed over; a field that it uses must have its declared type.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ _Count = Annotated[int, Field(ge=0, lt=2**53)]
 
 
 class Record(TypedDict, total=False):
-    """What is told of run.json."""
+    """What a report uses of run.json."""
 
     run: str
     command: list[str] | str
@@ -39,7 +39,7 @@ class _Summary(TypedDict):
 
 
 class Card(TypedDict, total=False):
-    """What must be so in dataset_card.json; all of it is told."""
+    """What must be so in dataset_card.json; a report uses all of it."""
 
     __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
 

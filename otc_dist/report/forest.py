@@ -66,10 +66,10 @@ def forest(rows: Sequence[Row], *, title: str, x_label: str, x_range: Range, wid
 
 
 def _drawn(row: Row, axis: Axis, y: float, width: float) -> str:
-    told = signed(row.value)
+    text = signed(row.value)
     if not math.isfinite(row.value):
         return f'<text x="{width - _EDGE:g}" y="{y + 4:.1f}" text-anchor="end">{NOTHING}</text>'
-    parts, intervals = [], [told]
+    parts, intervals = [], [text]
     for (low, high), kind, cap in ((row.wide, "bar", 4.0), (row.narrow, "wide-bar", 0.0)):
         if math.isfinite(low) and math.isfinite(high):
             start, stop = axis.at(low), axis.at(high)
@@ -80,6 +80,6 @@ def _drawn(row: Row, axis: Axis, y: float, width: float) -> str:
     parts.append(
         f'<circle class="mark" cx="{axis.at(row.value):.1f}" cy="{y:.1f}" r="4.6">'
         f"<title>{on_page(tip)}</title></circle>"
-        f'<text x="{width - _EDGE:g}" y="{y + 4:.1f}" text-anchor="end">{told}</text>'
+        f'<text x="{width - _EDGE:g}" y="{y + 4:.1f}" text-anchor="end">{text}</text>'
     )
     return f'<g class="{colour_class(row.colour)}">{"".join(parts)}</g>'

@@ -24,7 +24,7 @@ class Estimate:
     episodes: int
     horizon: int
     greedy_return: float | None  # of the same policy's evaluation; of whole episodes
-    reverted_to: int | None  # the policy that tuning went on from, if it was another one
+    reverted_to: int | None  # the policy that tuning continued from, if it was another one
 
 
 def estimates(run: RunData) -> list[Estimate]:
@@ -104,11 +104,11 @@ def stopped(run: RunData) -> dict[str, object] | None:
     }
 
 
-def named(told: Mapping[str, object]) -> str:
+def named(recommended: Mapping[str, object]) -> str:
     """The recommended policy in words: `the policy of deployment 4, pi_3`."""
-    if told["deployment"] is None:
-        return f"the last tuned policy, pi_{told['policy']}, which was not deployed"
-    return f"the policy of deployment {told['deployment']}, pi_{told['policy']}"
+    if recommended["deployment"] is None:
+        return f"the last tuned policy, pi_{recommended['policy']}, which was not deployed"
+    return f"the policy of deployment {recommended['deployment']}, pi_{recommended['policy']}"
 
 
 def returns_range(run: RunData) -> Range | None:
@@ -168,7 +168,7 @@ def section(run: RunData) -> str:
         "greedy return": column(row.greedy_return for row in table),
     }
     if any(row.reverted_to is not None for row in table):
-        listed["tuning went on from"] = [
+        listed["tuning continued from"] = [
             NOTHING if row.reverted_to is None else f"pi_{row.reverted_to}" for row in table
         ]
     note = (

@@ -1,8 +1,8 @@
-"""What the learners told: their samplers before the updates, and their training metrics."""
+"""What the learners reported: their samplers before the updates, and their training metrics."""
 
 import math
 
-from otc_dist.description.distances import FITS, TOLD
+from otc_dist.description.distances import FITS, SAMPLER_METRICS
 from otc_dist.report import html
 from otc_dist.report.numbers import NOTHING, column
 from otc_dist.report.run_data import RunData
@@ -18,9 +18,9 @@ _MOST_POINTS = 300  # of one training curve; more cannot be seen
 _WIDTH, _HEIGHT = 420.0, 270.0  # px, of charts beside each other
 
 
-def told_charts(run: RunData) -> str:
+def sampler_charts(run: RunData) -> str:
     """One a name, by deployment; all have axes of one kind."""
-    charts = {name: _told_series(run, name) for name in _told(run)}
+    charts = {name: _sampler_series(run, name) for name in _reported(run)}
     logarithmic = any(map(_wide, charts.values()))
     return html.pair(
         *(
@@ -42,17 +42,19 @@ def told_charts(run: RunData) -> str:
     )
 
 
-def _told(run: RunData) -> list[str]:
+def _reported(run: RunData) -> list[str]:
     """What the samplers gave before the updates."""
-    found = {name for a in run.agents for tuning in a.tunings.values() for name in tuning.told}
-    return [name for name in TOLD if name in found]
+    found = {
+        name for a in run.agents for tuning in a.tunings.values() for name in tuning.sampler_metrics
+    }
+    return [name for name in SAMPLER_METRICS if name in found]
 
 
-def _told_series(run: RunData, name: str) -> list[Series]:
+def _sampler_series(run: RunData, name: str) -> list[Series]:
     series = []
     for agent in run.agents:
-        ks = [k for k in sorted(agent.tunings) if name in agent.tunings[k].told]
-        values = [agent.tunings[k].told[name] for k in ks]
+        ks = [k for k in sorted(agent.tunings) if name in agent.tunings[k].sampler_metrics]
+        values = [agent.tunings[k].sampler_metrics[name] for k in ks]
         series.append(Series(agent.name, [float(k) for k in ks], values))
     return series
 
@@ -66,7 +68,7 @@ def section(run: RunData) -> str:
     """A table of the learners, and charts of their training."""
     if not run.agents:
         return ""
-    names, told = [agent.name for agent in run.agents], _told(run)
+    names, sampler_metrics = [agent.name for agent in run.agents], _reported(run)
     newest = [max(agent.tunings, default=0) for agent in run.agents]
     columns = [
         names,
@@ -79,11 +81,11 @@ def section(run: RunData) -> str:
         columns.append(column(a.last("embedding", "active_dimensions") for a in run.agents))
     head.append("tuned on")
     columns.append([str(k) if k else NOTHING for k in newest])
-    for name in told:
+    for name in sampler_metrics:
         head.append(_TITLES[name][1])
         columns.append(
             column(
-                agent.tunings[k].told.get(name) if k else None
+                agent.tunings[k].sampler_metrics.get(name) if k else None
                 for agent, k in zip(run.agents, newest, strict=True)
             )
         )
@@ -101,7 +103,7 @@ def _metric_charts(run: RunData, phase: str) -> list[str]:
     names = dict.fromkeys(name for agent in run.agents for name in agent.curves.get(phase, {}))
     charts = []
     for name in names:
-        if name in TOLD:  # shown above, by deployment
+        if name in SAMPLER_METRICS:  # shown above, by deployment
             continue
         series = []
         for agent in run.agents:

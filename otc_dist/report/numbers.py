@@ -30,11 +30,11 @@ def columns(*groups: Iterable[float | None]) -> list[list[str]]:
     largest = max(map(abs, found), default=0.0)
     digits = 0 if whole or not largest else min(_decimals(largest), 6)
 
-    def told(value: float | None) -> str:
+    def text(value: float | None) -> str:
         absent = value is None or not math.isfinite(value)
         return NOTHING if value is None or absent else _grouped(value, digits)
 
-    return [list(map(told, group)) for group in cells]
+    return [list(map(text, group)) for group in cells]
 
 
 def signed(value: float | None, unit: str = "") -> str:

@@ -135,7 +135,8 @@ def results(run: RunData) -> dict[str, object]:
             agent.name: {
                 "active_dimensions": agent.last("embedding", "active_dimensions"),
                 "tunings": [
-                    {"deployment": k, **agent.tunings[k].told} for k in sorted(agent.tunings)
+                    {"deployment": k, **agent.tunings[k].sampler_metrics}
+                    for k in sorted(agent.tunings)
                 ],
             }
             for agent in run.agents

@@ -42,7 +42,7 @@ def learning_curve(run: RunData) -> str:
     return chart + html.note(
         f"Deployment 0 is the policy trained offline. {episodes} greedy episodes each, apart from"
         " the transitions that the agents learn from. The band is of episodes; one run with one"
-        " seed does not tell how much runs differ."
+        " seed does not show how much runs differ."
     )
 
 
@@ -52,15 +52,15 @@ def returns_table(run: RunData) -> str:
     if not table:
         return ""
 
-    def told(
+    def cells_of(
         of_row: Callable[[Row], float | None],
         of_mean: Callable[[Tuned], float | None] | None = None,
-        tell: Callable[[list[float | None]], list[str]] = column,
+        format_cells: Callable[[list[float | None]], list[str]] = column,
     ) -> list[str]:
         cells = [of_row(row) for row in table]
         if after is None:
-            return tell(cells)
-        return tell([*cells, of_mean(after)]) if of_mean else [*tell(cells), ""]
+            return format_cells(cells)
+        return format_cells([*cells, of_mean(after)]) if of_mean else [*format_cells(cells), ""]
 
     names = ["offline" if row.deployment == 0 else str(row.deployment) for row in table]
     blank = [] if after is None else [""]
@@ -73,24 +73,24 @@ def returns_table(run: RunData) -> str:
     returns = [means, *([*cells, *blank] for cells in others)]
     listed = {
         "deployment": [*names, *["mean of tuned"] * (after is not None)],
-        "episodes": told(lambda row: row.returns.count),
+        "episodes": cells_of(lambda row: row.returns.count),
         **dict(zip(("mean", "std", "least", "most"), returns, strict=True)),
-        "length": told(lambda row: row.length),
+        "length": cells_of(lambda row: row.length),
     }
     notes = ["Change: 100 (R_k - R_0) / |R_0|, which explodes where the offline return is near 0."]
     if any(row.score is not None for row in table):
-        listed["normalised"] = told(lambda row: row.score, lambda a: a.mean_score)
-        listed["its change"] = told(lambda row: row.gain, lambda a: a.gain, _each(signed))
+        listed["normalised"] = cells_of(lambda row: row.score, lambda a: a.mean_score)
+        listed["its change"] = cells_of(lambda row: row.gain, lambda a: a.gain, _each(signed))
         notes.append("Normalised: 0 is the random policy, 100 the expert.")
     if any(row.success is not None for row in table):
-        listed["won"] = told(lambda row: row.success, lambda a: a.mean_success, _each(percent))
+        listed["won"] = cells_of(lambda row: row.success, lambda a: a.mean_success, _each(percent))
         notes.append("Won: share of the episodes.")
-    listed["change"] = told(
+    listed["change"] = cells_of(
         lambda row: row.improvement, lambda a: a.improvement, _each(lambda x: signed(x, " %"))
     )
     shown = html.table(list(listed), zip(*listed.values(), strict=True), sums=len(blank))
     return html.section("Returns", shown, html.note(" ".join(notes)))
 
 
-def _each(tell: Callable[[float | None], str]) -> Callable[[list[float | None]], list[str]]:
-    return lambda cells: list(map(tell, cells))
+def _each(format_cells: Callable[[float | None], str]) -> Callable[[list[float | None]], list[str]]:
+    return lambda cells: list(map(format_cells, cells))

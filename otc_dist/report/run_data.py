@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.description import Description
-from otc_dist.description.distances import TOLD
+from otc_dist.description.distances import SAMPLER_METRICS
 from otc_dist.report import files, uniform
 from otc_dist.report.uniform import Uniform
 from otc_dist.run import recommendation
@@ -39,7 +39,7 @@ class Tuning:
     """What one agent's sampler gave before the updates after one deployment."""
 
     deployment: int
-    told: dict[str, float]  # some of TOLD
+    sampler_metrics: dict[str, float]  # some of TOLD
 
 
 @dataclass
@@ -80,7 +80,7 @@ class RunData:
 
     @property
     def data_return(self) -> float | None:
-        """Mean return of the episodes of B_0; None where its card does not tell."""
+        """Mean return of the episodes of B_0; None where its card does not say."""
         returns = (self.card or {}).get("returns")
         mean = returns.get("mean") if isinstance(returns, dict) else None
         return float(mean) if isinstance(mean, int | float) and math.isfinite(mean) else None
@@ -113,10 +113,10 @@ def read_run(folder: RunFolder) -> RunData:
     """Read a run folder.
 
     Raises:
-        UserError: it is no run folder, or its description cannot be read.
+        UserError: it is not a run folder, or its description cannot be read.
     """
     if not folder.description.exists():
-        raise UserError(f"{folder.root} is no run folder: it has no {folder.description.name}")
+        raise UserError(f"{folder.root} is not a run folder: it has no {folder.description.name}")
     description = Description.load(folder.description)
     problems: list[str] = []
 
@@ -211,8 +211,12 @@ def _read_history(path: Path) -> AgentHistory:
             # A learner that was restarted repeats itself: the same values at the same places.
             update += (line.deployment - 1) * line.updates
             if line.update == 0:
-                told = {name: _number(line.metrics[name]) for name in TOLD if name in line.metrics}
-                history.tunings[line.deployment] = Tuning(line.deployment, told)
+                sampler_metrics = {
+                    name: _number(line.metrics[name])
+                    for name in SAMPLER_METRICS
+                    if name in line.metrics
+                }
+                history.tunings[line.deployment] = Tuning(line.deployment, sampler_metrics)
         curves = history.curves.setdefault(line.phase, {})
         for name, value in line.metrics.items():
             curves.setdefault(name, {})[update] = _number(value)
@@ -226,7 +230,7 @@ def _number(value: float | None) -> float:
 def _lines(path: Path) -> Iterator[files.Line]:
     """The lines of metrics.jsonl; a last one that was cut off is left out.
 
-    So is the beginning of one that another was written behind, as earlier versions did.
+    So is the beginning of one that another was written after, as earlier versions did.
     """
     lines = path.read_text(encoding="utf-8").splitlines()
     for i, text in enumerate(lines):

@@ -16,7 +16,7 @@ from otc_dist.terminal.amounts import duration
 
 def render(run: RunData) -> str:
     """The page."""
-    d, told, found = run.description, kept.recommended(run), verdict(run)
+    d, recommended, found = run.description, kept.recommended(run), verdict(run)
     lead = " · ".join(
         part
         for part in (
@@ -24,7 +24,7 @@ def render(run: RunData) -> str:
             f"seed {d.seed}",
             str(run.record.get("run") or run.folder.root.name),
             _moment(run.record.get("started")),
-            f"recommended: {kept.named(told)}" if told else "",
+            f"recommended: {kept.named(recommended)}" if recommended else "",
         )
         if part
     )
@@ -37,7 +37,7 @@ def render(run: RunData) -> str:
             _figures(run),
             html.section("", learning_curve(run)),
             kept.section(run),
-            learners.told_charts(run),
+            learners.sampler_charts(run),
             returns_table(run),
             learners.section(run),
             _dataset(run),
@@ -76,10 +76,10 @@ def _figures(run: RunData) -> str:
     items = []
     if offline:
         items.append((number(offline.returns.mean), "offline return, mean of pi_0"))
-    if told := kept.recommended(run):
-        greedy = kept.greedy_return(run, int(str(told["policy"])))
+    if recommended := kept.recommended(run):
+        greedy = kept.greedy_return(run, int(str(recommended["policy"])))
         if greedy is not None:
-            items.append((number(greedy), f"return of {kept.named(told)}: recommended"))
+            items.append((number(greedy), f"return of {kept.named(recommended)}: recommended"))
     if after:
         items += [
             (number(after.last.returns.mean), f"return after deployment {after.last.deployment}"),
@@ -93,7 +93,7 @@ def _figures(run: RunData) -> str:
     schedule = Schedule.of(run.description, len(run.agents))
     if schedule.rounds > 1:
         cost = schedule.steps * run.description.env.copies
-        items.append((f"{cost:,}", f"transitions a deployment: M x {schedule.rounds} explorers"))
+        items.append((f"{cost:,}", f"transitions per deployment: M x {schedule.rounds} explorers"))
     if run.wall_seconds is not None:
         items.append((duration(run.wall_seconds), "wall time"))
     return html.figures(items) if items else ""

@@ -108,7 +108,7 @@ def line_chart(
 
     Values that are not finite leave gaps, and so do values <= 0 on a logarithmic axis. A chart
     without any value says so. Colours repeat after ten curves, the marks' shapes after four, so
-    that twenty curves can be told apart.
+    that twenty curves can be distinguished.
 
     Args:
         x_range, y_range: what the axes must hold besides the values: charts that are to be

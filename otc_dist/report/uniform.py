@@ -1,4 +1,4 @@
-"""What uniform sampling made of the same offline policies, where a run beside this one tells."""
+"""What uniform sampling made of the same offline policies, where a run beside this one says so."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,7 +70,7 @@ def _read(other: RunFolder, wanted: str) -> Uniform | None:
         results = _Results.model_validate_json(other.results.read_bytes())
     except (OSError, UserError, ValidationError):
         return None
-    told = results.recommended
-    if not results.complete or told is None or told.greedy_return is None:
+    recommended = results.recommended
+    if not results.complete or recommended is None or recommended.greedy_return is None:
         return None
-    return Uniform(Path(other.root).name, told.policy, told.greedy_return)
+    return Uniform(Path(other.root).name, recommended.policy, recommended.greedy_return)

@@ -28,7 +28,7 @@ class Verdict:
 class Change:
     """What pi_k returns where pi_0 returned `before`, over `episodes` episodes of each.
 
-    `low`, `high`: the 95% interval of the difference; NaN where it cannot be told.
+    `low`, `high`: the 95% interval of the difference; NaN where it is not known.
     """
 
     policy: int
@@ -47,8 +47,8 @@ class Change:
         """`337.0 (-868.9, -72.0 %)`."""
         percent = improvement(self.value, self.before)
         share = percent is not None and abs(percent) <= _MOST_PERCENT
-        told = f", {signed(percent, ' %')}" if share else ""
-        return f"{_plain(self.value)} ({signed(self.value - self.before)}{told})"
+        relative = f", {signed(percent, ' %')}" if share else ""
+        return f"{_plain(self.value)} ({signed(self.value - self.before)}{relative})"
 
 
 def verdict(run: RunData) -> Verdict:
@@ -56,9 +56,9 @@ def verdict(run: RunData) -> Verdict:
     changes = _greedy(run) or _measured(run)
     if not changes:
         return _before_tuning(run)
-    last, told = changes[-1], kept.recommended(run)
-    policy = int(str(told["policy"])) if told else last.policy
-    tone, sentence = _sentence(changes, policy if told else None)
+    last, chosen = changes[-1], kept.recommended(run)
+    policy = int(str(chosen["policy"])) if chosen else last.policy
+    tone, sentence = _sentence(changes, policy if chosen else None)
     if not run.complete:
         sentence = f"So far: {sentence[0].lower()}{sentence[1:]}"
     return Verdict(tone, sentence, tuple(_more(run, changes, policy)))
@@ -76,8 +76,8 @@ def _sentence(changes: Sequence[Change], recommended: int | None) -> tuple[Tone,
             "open": "Nothing shows that tuning helped, so the offline policy is recommended",
         }[last.tone]
         tail = close if last.tone == "open" else ""
-        told = f"it returns {_plain(last.before)}, the last tuned one, pi_{last.policy}, {last}"
-        return "bad" if last.tone == "bad" else "open", f"{so}: {told}{tail}."
+        result = f"it returns {_plain(last.before)}, the last tuned one, pi_{last.policy}, {last}"
+        return "bad" if last.tone == "bad" else "open", f"{so}: {result}{tail}."
     which = "recommended" if chosen.policy == recommended else "last tuned"
     so = {"good": "Tuning helped", "bad": "Tuning did harm", "open": "No clear change"}[chosen.tone]
     return chosen.tone, (
@@ -120,8 +120,8 @@ def _before_tuning(run: RunData) -> Verdict:
     if offline is None:
         return Verdict("open", "Nothing has been measured yet.")
     when = "was tuned" if run.complete else "has been tuned yet"
-    told = f"Nothing {when}: the offline policy returns {_plain(offline)}."
-    return Verdict("open", told, tuple(_of_data(run)))
+    nothing = f"Nothing {when}: the offline policy returns {_plain(offline)}."
+    return Verdict("open", nothing, tuple(_of_data(run)))
 
 
 def _of_data(run: RunData) -> list[str]:

@@ -2,7 +2,7 @@
 
 An agent's data then follow the transition dynamics of the others' learned policies, as OTC needs,
 and still hold actions that its own policy would not take (the paper's SMAC experiment). It costs
-N M transitions a deployment instead of M.
+N M transitions per deployment instead of M.
 """
 
 from dataclasses import dataclass

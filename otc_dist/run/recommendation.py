@@ -1,4 +1,4 @@
-"""Which policy a run recommends, which one tuning goes on from, and when deployments end.
+"""Which policy a run recommends, which one tuning continues from, and when deployments end.
 
 Functions of what the deployments measured and of nothing else: all agents get the team's reward, so
 each decides alone, and all decide alike.

@@ -6,7 +6,7 @@ from otc_dist.spec import TeamSpec
 
 
 def find(team: TeamSpec) -> Scene | None:
-    """What a team's environment looks like; None if its states do not tell.
+    """What a team's environment looks like; None if its states do not say.
 
     Nor do they if the environment is unknown, or was another one when it was logged. The family's
     simulator is imported only if it is needed to know where its bodies are.

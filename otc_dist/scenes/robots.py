@@ -75,7 +75,7 @@ def _capsules(model: mujoco.MjModel, body: int) -> list[Capsule]:
         if model.geom_bodyid[geom] != body:
             continue
         if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_CAPSULE:
-            raise ValueError(f"{model.geom(geom).name!r} is no capsule")
+            raise ValueError(f"{model.geom(geom).name!r} is not a capsule")
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
         radius, half = (float(size) for size in model.geom_size[geom, :2])

@@ -31,7 +31,7 @@ _IDLE: dict[str, Colour] = {"no-op": (214, 219, 225), "stop": (160, 168, 178)}
 
 
 def choice_colours(names: Sequence[str], count: int) -> tuple[Colour, ...]:
-    """One for each of `count` discrete actions; those that do nothing, as far as `names` tell, are
+    """One for each of `count` discrete actions; those that do nothing, as far as `names` say, are
     grey.
     """
     found: list[Colour] = []

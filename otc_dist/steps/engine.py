@@ -64,7 +64,7 @@ class Engine:
     def __init__(self, name: Resolved) -> None:
         self.name = name
         self.device = torch.device("cuda" if name == "cuda-graph" else "cpu")
-        # Sums split over threads round otherwise, and a brain's networks are too small to gain.
+        # Sums split over threads round differently, and a brain's networks are too small to gain.
         torch.set_num_threads(1)
         # Compiled code outlives the process: other learners and later runs load it.
         if name != "eager" and "TORCHINDUCTOR_CACHE_DIR" not in os.environ:
@@ -77,13 +77,13 @@ class Engine:
         """
         if self.name == "eager":
             return torch.no_grad()(function)
-        anatomy = _Anatomy(function)
+        anatomy = _FunctionIdentity(function)
         key = (self.name, *anatomy.identity)
         if key not in _fused:
             _fused[key] = self._compile(anatomy)
         return cast(Callable[P, T], _fused[key])
 
-    def _compile(self, anatomy: "_Anatomy") -> Callable[..., Any]:
+    def _compile(self, anatomy: "_FunctionIdentity") -> Callable[..., Any]:
         # The default of 8 ends a process that holds more brains than that with an error. Not set
         # where nothing is compiled: torch's compiler takes a second to import, another to clear up.
         torch._dynamo.config.recompile_limit = VARIANTS
@@ -125,7 +125,7 @@ def _keep_headers_private() -> None:
 _fused: dict[Hashable, Callable[..., Any]] = {}
 
 
-class _Anatomy:
+class _FunctionIdentity:
     """What a function consists of: its code, and the values that it holds.
 
     Attributes:

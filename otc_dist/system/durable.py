@@ -80,13 +80,13 @@ def sync(path: Path) -> None:
     except OSError as error:
         if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS) or not path.is_dir():
             raise
-        _tell(path)
+        _warn(path)
     finally:
         os.close(handle)
 
 
 @cache
-def _tell(folder: Path) -> None:
+def _warn(folder: Path) -> None:
     log.warning(
         "%s is on a file system whose folders cannot be forced to the disk: a power cut may undo"
         " the newest changes of names there",

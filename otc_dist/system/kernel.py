@@ -1,6 +1,6 @@
-"""What the kernel tells of processes: whether they run, wait to run, or do nothing.
+"""What the kernel says of processes: whether they run, wait to run, or do nothing.
 
-Where it tells nothing (no Linux, or no such process), None or 0 is returned, and nobody is judged.
+Where it says nothing (no Linux, or no such process), None or 0 is returned, and nobody is judged.
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ def thread_times(pid: int) -> frozenset[tuple[str, int]]:
 
 
 def processor_time(pid: int) -> int | None:
-    """Nanoseconds of processor time of all threads of a process; None where nothing tells."""
+    """Nanoseconds of processor time of all threads of a process; None where it is not known."""
     try:
         threads = list(Path(f"/proc/{pid}/task").iterdir())
         return sum(int((thread / "schedstat").read_text().split()[0]) for thread in threads)
@@ -31,7 +31,7 @@ def processor_time(pid: int) -> int | None:
 
 
 def queued(pid: int) -> float:
-    """Seconds that a process's main thread was ready to run and others ran; 0 if nothing tells."""
+    """Seconds that a process's main thread was ready to run and others ran; 0 if not known."""
     try:
         return int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) / 1e9
     except (OSError, ValueError, IndexError):  # it may have ended

@@ -36,7 +36,7 @@ def take(file: int, path: Path) -> bool:
     except OSError as error:
         if error.errno not in _NONE:
             raise
-        _tell(path.parent)
+        _warn(path.parent)
         return True
 
 
@@ -55,7 +55,7 @@ def held(file: int) -> bool | None:
 
 
 @cache
-def _tell(folder: Path) -> None:
+def _warn(folder: Path) -> None:
     log.warning(
         "%s is on a file system without locks: nothing stops a second process from writing there",
         folder,

@@ -23,7 +23,7 @@ _MATHEMATICS = re.compile(
 
 
 def processor(cpuinfo: Path = _CPUINFO) -> str:
-    """The processor's name, and which of the telling instruction sets it has, as
+    """The processor's name, and which of the relevant instruction sets it has, as
     `AMD EPYC 7763 (avx2 fma)`; where the system does not say, what Python knows of it.
     """
     try:
@@ -49,7 +49,7 @@ def kind() -> str:
 
 
 def libraries(pid: int) -> tuple[str, ...]:
-    """Paths of the libraries that compute in a process of this user's; none where nothing tells."""
+    """Paths of the libraries that compute in a process of this user's; none where unknown."""
     try:
         maps = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from otc_dist.terminal.errors import UserError
 
 T = TypeVar("T")
-_LONGEST_VALUE = 60  # characters of a wrong value that are told
+_LONGEST_VALUE = 60  # characters of a wrong value that are shown
 
 
 def from_json(kind: type[T], content: str | bytes, source: str | Path) -> T:

@@ -14,5 +14,5 @@ def duration(seconds: float) -> str:
 
 def plus_minus(mean: float, deviation: float, digits: int = 1) -> str:
     """`1,234.5 ± 67.8`; the mean alone where the deviation, or standard error, is NaN."""
-    told = f"{mean:,.{digits}f}"
-    return told if math.isnan(deviation) else f"{told} ± {deviation:,.{digits}f}"
+    text = f"{mean:,.{digits}f}"
+    return text if math.isnan(deviation) else f"{text} ± {deviation:,.{digits}f}"

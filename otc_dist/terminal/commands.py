@@ -45,7 +45,7 @@ COMMANDS = {
         "where a run stands, and how its processes are", "show.status", "status"
     ),
     "approve": Command.launch(
-        "let the deployment begin that waits for a person", "show.approve", "approve"
+        "let the deployment that waits for a person begin", "show.approve", "approve"
     ),
     "chaos": Command.launch(
         "kill, freeze and cut off a run's processes, and compare how it ends",

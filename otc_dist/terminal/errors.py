@@ -18,7 +18,7 @@ _PART = 4  # letters of which a part of a name has at least
 
 
 class UserError(Exception):
-    """Something the user can mend. The message is one line: what was wrong, and what to do."""
+    """Something the user can fix. The message is one line: what was wrong, and what to do."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
@@ -34,7 +34,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     return UserError(f"unknown {kind} {name!r}; {hint}")
 
 
-def told(error: OSError) -> str:
+def os_error_line(error: OSError) -> str:
     """What the system refused, in a line: the file and why."""
     reason = os.strerror(error.errno) if error.errno else str(error) or type(error).__name__
     if error.errno == errno.ENOSPC:
@@ -53,7 +53,7 @@ def run_main(main: Callable[[list[str]], int]) -> None:
     except KeyboardInterrupt:
         status = 130
     except OSError as error:  # a folder that cannot be read or written, a full disk
-        say(printable(f"error: {told(error)}"), file=sys.stderr)
+        say(printable(f"error: {os_error_line(error)}"), file=sys.stderr)
         status = 2
     leave(status)
 

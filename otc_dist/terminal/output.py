@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TextIO, cast
 
 
-class _Steady:
+class _LossyStream:
     """A text stream that loses what cannot be written, instead of raising.
 
     As when the terminal has vanished, the reader of a pipe has gone, or the disk that holds the
@@ -52,8 +52,8 @@ def steady() -> None:
         stream = getattr(sys, name)
         if stream is None:
             stream = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115  # to the end
-        elif isinstance(stream, _Steady):
+        elif isinstance(stream, _LossyStream):
             continue
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace" if name == "stdout" else "backslashreplace")
-        setattr(sys, name, cast(TextIO, _Steady(stream)))
+        setattr(sys, name, cast(TextIO, _LossyStream(stream)))

@@ -17,7 +17,7 @@ class Parser(argparse.ArgumentParser):
     def given(self, arguments: argparse.Namespace) -> dict[str, str]:
         """What the command line says beyond the defaults: attribute -> the flag, as one writes it.
 
-        A command that leaves some of it unused has to refuse it: whoever gives a flag expects
+        A command that leaves some of it unused has to refuse it: a user who gives a flag expects
         something of it.
         """
         return {

@@ -17,7 +17,7 @@ _LINE_EVERY = 10.0  # seconds between lines of progress where there is no termin
 
 
 def silent(done: int, total: int) -> None:
-    """The `Report` of whoever shows nothing."""
+    """The `Report` that shows nothing."""
 
 
 def redraws(console: Console) -> bool:

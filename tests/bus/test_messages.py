@@ -120,7 +120,7 @@ BAD_OBSERVATIONS = {
     "nothing": (b"", "malformed"),
     "no msgpack": (b"\xc1", "malformed"),
     "cut off": (OBSERVATION[:-1], "malformed"),
-    "something behind": (OBSERVATION + b"\x00", "malformed"),
+    "something after": (OBSERVATION + b"\x00", "malformed"),
     "deeply nested": (b"\x91" * 10_000 + b"\xc0", "malformed"),
     "a huge length": (b"\xdd\xff\xff\xff\xff", "malformed"),
     "no array": (msgpack.packb({"version": 1}), "malformed"),

@@ -65,7 +65,7 @@ def test_payloads_beyond_the_cap_do_not_arrive(endpoint: str) -> None:
         Session.connect(Endpoint(endpoint), 2048) as client,
     ):
         host.subscribe("a/key", lambda payload: received.put(len(payload)))
-        # The client learns of the subscription through its connection; a query is behind it.
+        # The client learns of the subscription through its connection; a query comes after it.
         host.answer("b/key", lambda _: b"")
         while client.ask("b/key", {}, PATIENCE) is None:
             pass

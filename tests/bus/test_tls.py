@@ -218,7 +218,7 @@ def test_a_host_by_another_name_is_refused(ours: Path, tmp_path: Path) -> None:
     [
         ("10.0.0.1:7447", False, True, "write it as tls/192.0.2.1:7447"),
         ("tls/10.0.0.1", False, True, "has no port"),
-        ("tcp/10.0.0.1:7447", False, False, "use tls/10.0.0.1:7447 with --certs DIR, or say --ins"),
+        ("tcp/10.0.0.1:7447", False, False, "use tls/10.0.0.1:7447 with --certs DIR, or use --ins"),
         ("udp/10.0.0.1:7447", False, True, "is open to everybody"),
         ("tls/:7447", False, True, "the host in 'tls/:7447' is not a host name or an IP address"),
         ("tls/::1:7447", False, True, "or tls/[2001:db8::1]:7447"),

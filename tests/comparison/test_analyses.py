@@ -16,7 +16,7 @@ from otc_dist.description import Description
 from otc_dist.learner import team
 from otc_dist.learner.learner import Learner
 from otc_dist.otc.data import Data
-from otc_dist.otc.samplers.interface import Extent, Held, Sampler
+from otc_dist.otc.samplers.interface import Extent, MergedData, Sampler
 from otc_dist.steps.engine import Engine
 from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32
@@ -49,7 +49,7 @@ class Prepared:
         data = Data(rows, rows[:, :0])
         random = np.random.default_rng(0)
         begun = sampler.begin(
-            Held(state, data, self.extent, Engine("eager"), lambda *key: random)
+            MergedData(state, data, self.extent, Engine("eager"), lambda *key: random)
         ).data
         drawn = sampler.sample_indices(random, 50, self.extent)
         chosen = []
@@ -138,15 +138,15 @@ def test_an_analysis_is_an_arm_like_any_other(
 
 
 @pytest.mark.parametrize(
-    ("name", "change", "told"),
+    ("name", "change", "expected"),
     [
         (PERFECT, "env.id=hopper-1x3", "about other agents, and hopper-1x3 has none"),
         (ORACLE, "deployment.exploration=sequential", "exploration = 'none'"),
     ],
 )
 def test_an_analysis_that_cannot_be_made_is_one_clear_line(
-    base: Description, name: str, change: str, told: str
+    base: Description, name: str, change: str, expected: str
 ) -> None:
-    with pytest.raises(UserError, match=f"arm {name}: .*{told}"):
+    with pytest.raises(UserError, match=f"arm {name}: .*{expected}"):
         arms = parse_arms(name)
         check(base.with_assignments(change, "deployment.keep=last"), arms)

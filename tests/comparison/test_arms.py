@@ -85,7 +85,7 @@ def test_known_arms_share_the_offline_policy_but_for_one_that_is_about_it(
 
 
 @pytest.mark.parametrize(
-    ("assignment", "told"),
+    ("assignment", "expected"),
     [
         ("evaluation.episodes=3", "may not change evaluation"),
         ("dataset.name=random", "may not change dataset"),
@@ -94,9 +94,9 @@ def test_known_arms_share_the_offline_policy_but_for_one_that_is_about_it(
     ],
 )
 def test_an_arm_that_changes_what_all_have_in_common_is_refused(
-    base: Description, assignment: str, told: str
+    base: Description, assignment: str, expected: str
 ) -> None:
-    with pytest.raises(UserError, match=f"arm mine: an arm {told}"):
+    with pytest.raises(UserError, match=f"arm mine: an arm {expected}"):
         arms_of.check(base, {"mine": (assignment,)})
 
 

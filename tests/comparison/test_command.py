@@ -19,7 +19,7 @@ from otc_dist.terminal.errors import UserError
 
 
 @pytest.mark.parametrize(
-    ("flags", "told"),
+    ("flags", "expected"),
     [
         (("--arms", "otc-embeding"), "unknown arm 'otc-embeding'; did you mean 'otc-embedding'"),
         (("--seeds", "0-9"), r"write 0\.\.9"),
@@ -30,9 +30,9 @@ from otc_dist.terminal.errors import UserError
         (("--sedes", "0"), "unknown flag '--sedes'; did you mean '--seeds'"),
     ],
 )
-def test_a_mistake_is_one_clear_line(flags: tuple[str, ...], told: str, tmp_path: Path) -> None:
+def test_a_mistake_is_one_clear_line(flags: tuple[str, ...], expected: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with pytest.raises(UserError, match=told) as error:
+    with pytest.raises(UserError, match=expected) as error:
         command.main(["3agent_hopper", "--set", "engine.name=eager", "--out", str(out), *flags])
     assert "\n" not in str(error.value)
     assert not out.exists()
@@ -78,7 +78,7 @@ def test_a_comparison_does_not_go_on_with_other_data(
     with store.agent_file(base.dataset.name, "agent_1", 60).open("ab") as file:
         file.write(b"other")
     with (
-        pytest.raises(UserError, match=r"the data of agent_1 .* are others"),
+        pytest.raises(UserError, match=r"the data of agent_1 .* have changed since"),
         job_graph.opened(folder, base),
     ):
         pass
@@ -165,9 +165,9 @@ def test_results_are_kept_apart_from_those_of_another_description(
 
 
 @pytest.mark.parametrize(
-    ("file", "content", "told"),
+    ("file", "content", "expected"),
     [
-        ("description.toml", None, "is no comparison's folder"),
+        ("description.toml", None, "is not the folder of a comparison"),
         ("description.toml", "name = ", "description.toml is damaged"),
         ("description.toml", "name = 'x'\n[env]\n", "description.toml is damaged"),
         ("seed_00/uniform.json", None, "holds no run of uniform"),
@@ -178,7 +178,7 @@ def test_results_are_kept_apart_from_those_of_another_description(
     ],
 )
 def test_a_damaged_folder_of_scores_is_one_clear_line(
-    finished: ComparisonFolder, tmp_path: Path, file: str, content: str | None, told: str
+    finished: ComparisonFolder, tmp_path: Path, file: str, content: str | None, expected: str
 ) -> None:
     collected.keep(finished, ("uniform",), (0,), tmp_path)
     path = tmp_path / file
@@ -187,7 +187,7 @@ def test_a_damaged_folder_of_scores_is_one_clear_line(
     else:
         uniform = (tmp_path / "seed_00" / "uniform.json").read_text()
         path.write_text(uniform if content == "copy" else content)
-    with pytest.raises(UserError, match=told) as error:
+    with pytest.raises(UserError, match=expected) as error:
         command.main(["--tables", str(tmp_path)])
     assert "\n" not in str(error.value)
 
@@ -197,7 +197,7 @@ def test_the_folder_of_a_run_is_none_of_a_comparison(base: Description, tmp_path
     (tmp_path / "run.json").write_text("{}")
     before = sorted(tmp_path.iterdir())
     for words in (["--tables"], ["3agent_hopper", "--quick", "--out"]):
-        with pytest.raises(UserError, match="is a run's folder, no comparison's"):
+        with pytest.raises(UserError, match="is the folder of a run, not of a comparison"):
             command.main([*words, str(tmp_path)])
     assert sorted(tmp_path.iterdir()) == before
 

@@ -8,7 +8,7 @@ import pytest
 from otc_dist.launch.supervise import jobs as jobs_module
 from otc_dist.launch.supervise import standstill
 from otc_dist.launch.supervise.health import LIMIT
-from otc_dist.launch.supervise.jobs import FailedError, Job, StoppedError, Teller, run_jobs
+from otc_dist.launch.supervise.jobs import FailedError, Job, ProgressLines, StoppedError, run_jobs
 
 PATIENCE = 60.0  # seconds; only a test that fails waits as long
 MAKE = "import sys, pathlib; pathlib.Path(sys.argv[1]).touch()"
@@ -45,23 +45,23 @@ def test_finished_jobs_are_skipped(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "status", "told"),
+    ("code", "status", "expected"),
     [
         ("raise SystemExit('error: no such thing')", 1, "with status 1: no such thing"),
-        ("import sys; print('error: mend it'); sys.exit(2)", 2, "bad: mend it"),
+        ("import sys; print('error: fix it'); sys.exit(2)", 2, "bad: fix it"),
         ("import os; os.kill(os.getpid(), 9)", 1, "was killed by SIGKILL"),
         ("pass", 1, "exited with status 0: it printed nothing"),  # and left no product
     ],
 )
 def test_a_failure_is_one_line_that_names_the_job(
-    tmp_path: Path, code: str, status: int, told: str
+    tmp_path: Path, code: str, status: int, expected: str
 ) -> None:
     waits = job(tmp_path, "waits", "import signal; signal.pause()")
     with pytest.raises(FailedError) as failed:
         run_jobs([waits, job(tmp_path, "bad", code)], 2, lambda done: None, PATIENCE)
     assert failed.value.status == status
     message = str(failed.value)
-    assert message.startswith("bad: ") and told in message and "\n" not in message
+    assert message.startswith("bad: ") and expected in message and "\n" not in message
 
 
 @pytest.mark.parametrize(
@@ -93,13 +93,13 @@ def test_what_is_killed_or_stands_still_is_begun_again_and_the_others_go_on(
         patience,
     )
     assert sorted(finished) == ["odd", "other"]
-    told = [line for line in capsys.readouterr().out.splitlines() if "done in" not in line]
-    assert told == [f"odd: was killed by SIGKILL{why}; starts again (1 of {LIMIT})"]
+    newest = [line for line in capsys.readouterr().out.splitlines() if "done in" not in line]
+    assert newest == [f"odd: was killed by SIGKILL{why}; starts again (1 of {LIMIT})"]
 
 
 def test_an_interrupt_leaves_no_process(tmp_path: Path) -> None:
-    told = tmp_path / "pid"
-    code = f"import os, signal, pathlib; pathlib.Path({str(told)!r}).write_text(str(os.getpid()))"
+    newest = tmp_path / "pid"
+    code = f"import os, signal, pathlib; pathlib.Path({str(newest)!r}).write_text(str(os.getpid()))"
     interrupt = job(tmp_path, "interrupt", f"import os; os.kill({os.getpid()}, {signal.SIGINT:d})")
     waits = job(tmp_path, "waits", f"{code}; open(r'{tmp_path}/up', 'w'); signal.pause()")
     jobs = [waits, Job(**{**vars(interrupt), "needs": (tmp_path / "up",)})]
@@ -107,11 +107,11 @@ def test_an_interrupt_leaves_no_process(tmp_path: Path) -> None:
         run_jobs(jobs, 2, lambda done: None, PATIENCE)
     assert stopped.value.status == 130
     with pytest.raises(ProcessLookupError):
-        os.kill(int(told.read_text()), 0)
+        os.kill(int(newest.read_text()), 0)
 
 
 def test_what_a_job_tells_is_a_share_and_a_place(capsys: pytest.CaptureFixture[str]) -> None:
-    tell = Teller()
-    tell(0.25, "offline 1 of 4")
-    tell(0.5, "offline 2 of 4")  # too soon after the first
+    on_progress = ProgressLines()
+    on_progress(0.25, "offline 1 of 4")
+    on_progress(0.5, "offline 2 of 4")  # too soon after the first
     assert capsys.readouterr().out == "0.2500 offline 1 of 4\n"

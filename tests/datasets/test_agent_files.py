@@ -107,7 +107,7 @@ def test_a_missing_file_is_refused_with_the_command_that_makes_it(tmp_path: Path
 def test_a_foreign_safetensors_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "agent_1.safetensors"
     save_file({"weights": np.zeros(3, np.float32)}, path)
-    assert "no data set file of ours" in refusal(path)
+    assert "is not a data set file of otc_dist" in refusal(path)
 
 
 def test_another_format_version_is_refused_naming_both(file: Path) -> None:

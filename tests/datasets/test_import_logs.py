@@ -201,7 +201,7 @@ def test_logs_that_do_not_belong_together_are_refused(
     again = log(tmp_path / "again.mcap", steps[:3])
     assert "of the same deployment" in refusal(paths[0], again)
     elsewhere = log(tmp_path / "elsewhere.mcap", steps[:3], run="elsewhere")
-    assert "say --name" in refusal(paths[0], elsewhere)
+    assert "name the result with --name" in refusal(paths[0], elsewhere)
     assert import_files([paths[0], elsewhere], "both").transitions == 606
     assert "was recorded in hopper-3x1, not in walker2d-2x3" in refusal(
         paths[0], env_id="walker2d-2x3"

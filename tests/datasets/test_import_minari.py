@@ -71,7 +71,7 @@ def test_a_minari_set_can_be_named_by_any_of_its_folders_or_its_file(minari_set:
         for source in (minari_set, minari_set / "data", minari_set / "data" / "main_data.hdf5")
     ]
     assert cards[0] == cards[1] == cards[2]
-    assert "no single Minari data set" in refusal(minari_set.parents[2])
+    assert "is not a single Minari data set" in refusal(minari_set.parents[2])
 
 
 def test_a_minari_set_of_another_robot_is_refused(minari_set: Path) -> None:

@@ -1,4 +1,4 @@
-"""Data sets are made once, the same everywhere, whole or not at all, one file an agent."""
+"""Data sets are made once, the same everywhere, whole or not at all, one file per agent."""
 
 import subprocess
 import sys

@@ -83,7 +83,7 @@ def test_what_is_no_whole_log_is_one_line(tmp_path: Path, small: Recording) -> N
 
 
 def test_episodes_end_at_gaps(tmp_path: Path, small: Recording) -> None:
-    """The first row behind a gap begins what is left of its episode."""
+    """The first row after a gap begins what is left of its episode."""
     small.write(tmp_path / "damaged.mcap").close()
     damaged, path = partial_path(tmp_path / "damaged.mcap"), tmp_path / "log.mcap"
     with OpenLog(damaged) as log:

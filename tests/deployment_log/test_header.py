@@ -101,8 +101,8 @@ def test_a_field_that_is_missing_is_named(field: str) -> None:
         (("agent_0", "agent_0"), "two agents are called 'agent_0'"),
         (("a", "A"), "two agents are called 'A'"),
         (("a", "joint"), "an agent cannot be called 'joint'"),
-        (("a", "../b"), "'../b' is no name"),
-        (("a", "b" * 129), "is no name"),
+        (("a", "../b"), "'../b' is not a valid name"),
+        (("a", "b" * 129), "is not a valid name"),
     ],
 )
 def test_names_that_will_not_do(names: tuple[str, str], said: str) -> None:

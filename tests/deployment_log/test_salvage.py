@@ -207,7 +207,7 @@ def test_salvaging_an_undamaged_log_changes_nothing(tmp_path: Path, large) -> No
 def test_steps_that_are_there_twice_or_elsewhere_are_given_once_and_in_order(
     tmp_path: Path, small, same
 ) -> None:
-    """Blocks of a file may be where other blocks of it belong, after a disk was mended."""
+    """Blocks of a file may be where other blocks of it belong, after a disk was repaired."""
     data = _unfinished(tmp_path, small, 12)
     start = len(_unfinished(tmp_path, small, 0))
     size = (len(data) - start) // 12

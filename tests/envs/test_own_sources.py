@@ -119,6 +119,6 @@ def test_a_run_does_not_go_on_with_other_sources(folder: Path) -> None:
             python(folder, "-m", f"otc_dist.{command[0]}", *command[1:])
         assert refused.value.returncode == 2
         assert refused.value.stderr == (
-            "error: pkg/late.py, which pkg:parallel_env loads, is another than when the run began:"
+            "error: pkg/late.py, which pkg:parallel_env loads, has changed since the run began:"
             " restore it, or start a new run\n"
         )

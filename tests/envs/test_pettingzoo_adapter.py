@@ -152,7 +152,7 @@ def test_without_a_limit_of_its_own_an_episode_ends_after_a_thousand_steps(modul
     [
         (toy(seen="MultiBinary(2)"), "only Box and Discrete"),
         (toy(done="Box(-np.inf, np.inf, (1,))"), "must be bounded"),
-        ("def parallel_env(): return 3", "no ParallelEnv"),
+        ("def parallel_env(): return 3", "is not a PettingZoo ParallelEnv"),
         ("def parallel_env(): 1 / 0", "ZeroDivisionError"),
         ("import no_such_package", "no module no_such_package"),
         ("", "no attribute 'parallel_env'"),
@@ -281,7 +281,7 @@ def test_a_mistake_in_it_is_the_launcher_s_only_complaint(
         f" 'nothing' ({tmp_path / 'my_module.py'}:{STEP + 1})"
     ]
     assert "resume with" not in ended.stdout
-    assert not (tmp_path / "run").exists()  # mended, it can be given the same name
+    assert not (tmp_path / "run").exists()  # fixed, it can be given the same name
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ class Host:
 
     @property
     def prefix(self) -> tuple[str, ...]:
-        """What a command line begins with that shall run there."""
+        """What a command line begins with that is to run there."""
         return ("ip", "netns", "exec", self.name)
 
 

@@ -31,7 +31,9 @@ def test_a_mistake_is_one_line(faults: list[str], says: str) -> None:
 def test_a_folder_that_cannot_be_made_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("otc_dist.launch.chaos.arena.enter", lambda: None)  # it would leave pytest
+    monkeypatch.setattr(
+        "otc_dist.launch.chaos.sandbox.enter", lambda: None
+    )  # it would leave pytest
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match=r"cannot make the folder .*/file/out"):
         main(["chaos", "--out", str(tmp_path / "file" / "out")])
@@ -58,7 +60,7 @@ class _QuickRun(DisturbedRun):
 def test_a_fault_that_was_asked_for_and_never_struck_has_not_passed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("otc_dist.launch.chaos.arena.enter", lambda: None)
+    monkeypatch.setattr("otc_dist.launch.chaos.sandbox.enter", lambda: None)
     monkeypatch.setattr("otc_dist.launch.chaos.command.DisturbedRun", _QuickRun)
     monkeypatch.setattr("otc_dist.launch.chaos.command.outcome", lambda folder: {})
     assert main(["chaos", "kill-compiler=2", "--out", str(tmp_path)]) == 1

@@ -19,7 +19,7 @@ from .short import SHORT
     [
         (["3agent_hoper"], "did you mean '3agent_hopper'?"),
         (["3agent_hopper", "--quik"], "did you mean '--quick'?"),
-        (["3agent_hopper", "--seed", "one"], "'one' is no whole number"),
+        (["3agent_hopper", "--seed", "one"], "'one' is not a whole number"),
         (["3agent_hopper", "--seed", "-1"], "seed"),
         (["3agent_hopper", "--set", "sampling.alfa=1"], "did you mean 'sampling.alpha'?"),
         (["3agent_hopper", "--set", "sampling.alpha"], "section.key=value"),
@@ -41,14 +41,14 @@ from .short import SHORT
         (["navigation", "--set", "env.agents=3"], "env.agents is not for navigation"),
         (["missing.toml"], "cannot read the description missing.toml"),
         ([], "--list"),
-        (["--resume", "nowhere"], "is no run folder"),
+        (["--resume", "nowhere"], "is not a run folder"),
         (["3agent_hopper", "--resume", "nowhere"], "leave out the description"),
         (["--resume", "nowhere", "--seed", "0"], "leave out --seed"),
         (["--resume", "nowhere", "--arm", "uniform"], "leave out --arm"),
         (["--resume", "nowhere", "--certs", "c"], "leave out --certs"),
         (["--resume", "nowhere", "--hosts", "h.toml"], "leave out --hosts"),
-        (["3agent_hopper", "--list"], "--list tells what there is: leave out the description"),
-        (["--list", "--dry-run"], "--list tells what there is: leave out --dry-run"),
+        (["3agent_hopper", "--list"], "--list lists what there is: leave out the description"),
+        (["--list", "--dry-run"], "--list lists what there is: leave out --dry-run"),
         (["3agent_hopper", "--hosts", "h.toml", "--ssh", "--dry-run"], "leave out --dry-run"),
         (["3agent_hopper", "--hosts", "h.toml", "--from", "run"], "leave out --from"),
         (["3agent_hopper", "--ssh"], "--ssh needs --hosts FILE"),
@@ -100,7 +100,9 @@ def test_an_engine_that_is_asked_for_and_does_not_answer_is_one_line(
 ) -> None:
     monkeypatch.setattr("otc_dist.launch.run.resolve._ASK_ENGINE", "import signal\nsignal.pause()")
     changes = ["engine.name=auto", "bus.answer_deadline=1.0"]
-    with pytest.raises(UserError, match="has done nothing for 1 s; try again, or say it: --set"):
+    with pytest.raises(
+        UserError, match="has done nothing for 1 s; try again, or choose one: --set"
+    ):
         resolve(descriptions.load("navigation", changes, None, True))
 
 
@@ -146,7 +148,7 @@ def test_dry_run_prints_the_plan_and_starts_nothing(
         "--agent agent_2",
         "otc/3agent_hopper-seed0/",
         "/agent_1/observation",
-        "100 transitions an agent",
+        "100 transitions per agent",
         "agent_2/observation",
         "100,000 offline updates",
         "10 deployments of 4 transitions",  # 1% of 100 is 1: rounded up to the copies

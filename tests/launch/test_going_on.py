@@ -114,7 +114,7 @@ def test_what_cannot_be_extended_is_one_line_and_stays_as_it_is(
     ("arguments", "said"),
     [
         (("3agent_hopper", "--deployments", "3"), "--deployments extends a run: with --resume"),
-        (("3agent_hopper", "--from", "nowhere"), "nowhere is no run folder"),
+        (("3agent_hopper", "--from", "nowhere"), "nowhere is not a run folder"),
         (
             ("3agent_hopper", "--from", "x", "--role", "host", "--listen", "tls/0.0.0.0:1"),
             "--from is for a run whose processes are all on one machine",

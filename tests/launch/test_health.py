@@ -11,7 +11,7 @@ from otc_dist.launch.supervise.health import (
     LASTING,
     LEAVING,
     LIMIT,
-    TELL_AFTER,
+    REPORT_AFTER,
     Health,
 )
 from otc_dist.launch.supervise.supervisor import End
@@ -37,7 +37,7 @@ def health() -> Health:
 
 
 def states(health: Health) -> list[str]:
-    return [life.state for life in health.lives.values()]
+    return [process.state for process in health.of_process.values()]
 
 
 def test_a_process_is_up_when_its_token_is_there() -> None:
@@ -52,7 +52,7 @@ def test_a_process_is_up_when_its_token_is_there() -> None:
 def test_a_silent_process_that_does_nothing_is_frozen(health: Health) -> None:
     health.take_token("agent_0", False, 1.0)
     assert health.lost(1.0, at_rest) == {} and health.events == []
-    assert health.lost(1.0 + TELL_AFTER, at_rest) == {}
+    assert health.lost(1.0 + REPORT_AFTER, at_rest) == {}
     assert health.events == ["agent_0: is silent"]
     assert health.lost(1.0 + FROZEN_AFTER, at_rest) == {"agent_0": "is frozen"}
 
@@ -71,7 +71,7 @@ def test_where_no_processor_time_is_known_silence_counts_alone(health: Health) -
 
 def test_a_process_that_is_back_is_well(health: Health) -> None:
     health.take_token("agent_0", False, 1.0)
-    assert health.lost(1.0 + TELL_AFTER, at_rest) == {}
+    assert health.lost(1.0 + REPORT_AFTER, at_rest) == {}
     health.take_token("agent_0", True, 3.5)
     assert health.lost(10.0, at_rest) == {}
     assert health.events == ["agent_0: is silent", "agent_0: is back"]
@@ -79,8 +79,8 @@ def test_a_process_that_is_back_is_well(health: Health) -> None:
 
 def test_a_short_silence_is_not_worth_a_line(health: Health) -> None:
     health.take_token("agent_0", False, 1.0)
-    health.lost(0.9 + TELL_AFTER, at_rest)
-    health.take_token("agent_0", True, 0.9 + TELL_AFTER)
+    health.lost(0.9 + REPORT_AFTER, at_rest)
+    health.take_token("agent_0", True, 0.9 + REPORT_AFTER)
     health.lost(9.0, at_rest)
     assert health.events == []
 
@@ -95,15 +95,15 @@ def test_when_all_is_done_nobody_is_called_silent(health: Health) -> None:
         one.take(Status("agent_0", "ready", 2), 1.0)
         one.take(Status("host", "done", 2), 1.0)
         one.take_token("agent_0", False, 1.0)
-        one.lost(1.0 + TELL_AFTER, lambda pid: None)
-        one.take_token("agent_0", True, 1.5 + TELL_AFTER)
+        one.lost(1.0 + REPORT_AFTER, lambda pid: None)
+        one.take_token("agent_0", True, 1.5 + REPORT_AFTER)
         assert one.events == []
 
 
 def test_with_the_host_all_tokens_go_and_it_alone_is_called_silent(health: Health) -> None:
     for name in ("host", "agent_0"):
         health.take_token(name, False, 1.0)
-    health.lost(1.0 + TELL_AFTER, at_rest)
+    health.lost(1.0 + REPORT_AFTER, at_rest)
     assert health.events == ["host: is silent"]
 
 
@@ -146,7 +146,7 @@ def test_a_busy_process_without_progress_is_lost_whatever_its_heartbeat_says(
 
 def hear(health: Health, until: float, *statuses: Status) -> None:
     """Say the same twice a second, up to and with the second `until`, and judge each time."""
-    clock = max(life.heard for life in health.lives.values())
+    clock = max(process.heard for process in health.of_process.values())
     while clock < until:
         clock += 0.5
         for status in statuses:
@@ -177,7 +177,7 @@ def test_an_agent_whose_answer_the_host_waits_for_is_lost_and_no_other(health: H
     assert health.lost(20.5 + DEADLINE, at_rest) == {"agent_0": why}
     assert health.lost(21.5 + DEADLINE, at_rest) == {}  # it is being killed
     health.died(KILLED["agent_0"], 22.0 + DEADLINE)
-    assert health.lives["agent_0"].last_end == f"was killed by SIGKILL, since it {why}"
+    assert health.of_process["agent_0"].last_end == f"was killed by SIGKILL, since it {why}"
 
 
 def test_of_answers_that_cannot_be_taken_it_is_said_why(health: Health) -> None:
@@ -278,8 +278,8 @@ def test_delays_double_and_end_after_the_limit(health: Health) -> None:
         health.started("agent_0", 200 + restart, 1.0 + restart)
     assert delays == [FIRST_DELAY * 2**n for n in range(LIMIT)]
     assert health.died(KILLED["agent_0"], 9.0) is None
-    assert health.lives["agent_0"].restarts == LIMIT
-    assert health.lives["agent_0"].last_end == "was killed by SIGKILL"
+    assert health.of_process["agent_0"].restarts == LIMIT
+    assert health.of_process["agent_0"].last_end == "was killed by SIGKILL"
 
 
 def test_progress_or_a_minute_of_work_make_the_next_restart_the_first(health: Health) -> None:

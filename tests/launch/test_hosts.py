@@ -45,7 +45,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["--role", "host", "--listen", "tls/0.0.0.0:7447"], "needs --certs DIR"),
         (["--role", "host", "--listen", "tls/0.0.0.0", "--certs", "certs"], "has no port"),
         (["--role", "host", "--listen", "0.0.0.0:7447"], "'0.0.0.0:7447' is not a valid endpoint"),
-        (["--role", "host", "--listen", "tcp/0.0.0.0:7447"], "or say --insecure"),
+        (["--role", "host", "--listen", "tcp/0.0.0.0:7447"], "or use --insecure"),
         ([*HOST, "--insecure"], "contradict each other"),
         ([*HOST, "--agent", "agent_0"], "--agent is for --role learner"),
         ([*HOST, "--set", "bus.router=tls/192.0.2.9:7447"], "leave out --listen or bus.router"),
@@ -139,7 +139,7 @@ def test_a_learners_host_makes_and_names_its_own_data_alone(
 def test_a_host_need_not_have_an_imported_data_set(capsys: pytest.CaptureFixture[str]) -> None:
     assert "mine" in _plan(capsys, *HOST, "--set", "dataset.name=hopper-3x1/mine")
     unsized = ("--set", "dataset.name=hopper-3x1/mine", "--set", "dataset.transitions=0")
-    with pytest.raises(UserError, match="is not on this machine: say its size"):
+    with pytest.raises(UserError, match="is not on this machine: give its size"):
         main([*RUN, *HOST, *unsized])
 
 

@@ -104,14 +104,14 @@ def test_a_dry_run_tells_what_is_kept_and_counts_the_confirmation(
     for word in ("disk", "time"):
         assert line(plain, word) != line(confirmed, word)
     told = dry(capsys, "deployment.floor=2.5", "deployment.approve=true", "deployment.revert=true")
-    for said in ("measures less than 2.5", "a person approves each", "tuning goes on from it"):
+    for said in ("measures less than 2.5", "a person approves each", "tuning continues from it"):
         assert said in told
 
 
 def test_nobody_is_waited_for_in_a_folder_of_no_run_or_of_one_that_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(UserError, match="is no run folder"):
+    with pytest.raises(UserError, match="is not a run folder"):
         main(["approve", str(tmp_path)])
 
 
@@ -230,5 +230,5 @@ def test_a_run_whose_deployments_a_person_approves(
     for agent in ("agent_0", "agent_1", "agent_2"):
         told = json.loads(folder.recommended(agent).read_text())
         assert (told["deployment"], told["policy"]) == (kept["deployment"], kept["policy"])
-    with pytest.raises(UserError, match="waits for nobody now"):
+    with pytest.raises(UserError, match="is not waiting for anyone now"):
         main(["approve", str(folder.root)])

@@ -128,7 +128,7 @@ def test_whom_it_waits_for_is_said_from_time_to_time_until_the_link_is_there(
         came = signs.get(timeout=PATIENCE)
         return isinstance(came, Waiting) and came.line.startswith(said)
 
-    monkeypatch.setattr(observer, "TELL_EVERY", 0.0)
+    monkeypatch.setattr(observer, "REPORT_EVERY", 0.0)
     said = f"waiting for tls/127.0.0.1:{port}: nobody answers there yet"
     own = parse_endpoint(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)
     with observing(plan, "a-run", signs.put):
@@ -145,7 +145,7 @@ def test_whom_it_waits_for_is_said_from_time_to_time_until_the_link_is_there(
 def test_a_learner_of_another_seed_is_told_at_once_and_from_time_to_time(
     plan: Plan, folder: Path, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(observer, "TELL_EVERY", 0.0)
+    monkeypatch.setattr(observer, "REPORT_EVERY", 0.0)
     monkeypatch.setattr(observer, "_PATIENCE", 1.0)  # somebody is there already
     own = parse_endpoint(f"tls/127.0.0.1:{port}", HOST, folder / "certs", insecure=False)
     said = (

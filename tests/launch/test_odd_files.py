@@ -19,7 +19,7 @@ from otc_dist.launch.plan.run_record import RunRecord
 from otc_dist.launch.show.approve import waiting_lines
 from otc_dist.launch.show.process_states import ProcessState, Supervision
 from otc_dist.learner import checkpoint
-from otc_dist.learner.checkpoint import Progressed
+from otc_dist.learner.checkpoint import CheckpointMetadata
 from otc_dist.report.write import write_report
 from otc_dist.run.folder import RunFolder
 from otc_dist.run.host_state import HostState
@@ -54,7 +54,7 @@ CARD = DatasetCard(
     files={"agent_0": AgentFile(bytes=1, sha256="", observation_size=1, action_size=1)},
 )  # fmt: skip
 HOST, FIRST = HostState(1, 2, {"a": "b"}), "evaluations/evaluation_00.json"
-PROGRESSED = Progressed("agent_0", "0" * 16, "0" * 16, 3, 0, 1.0, 0.5)
+PROGRESSED = CheckpointMetadata("agent_0", "0" * 16, "0" * 16, 3, 0, 1.0, 0.5)
 
 
 @dataclass

@@ -79,7 +79,7 @@ def test_what_is_killed_or_stands_still_is_started_again(
 def test_what_is_killed_too_often_is_given_up(do: Callable[..., int], tmp_path: Path) -> None:
     with pytest.raises(DiedError) as died:
         do(100, "dies")
-    assert (died.value.restarts, died.value.told) == (LIMIT, False)
+    assert (died.value.restarts, died.value.explained) == (LIMIT, False)
     assert len((tmp_path / "count").read_text()) == 1 + LIMIT
 
 
@@ -89,7 +89,7 @@ def test_what_fails_by_itself_is_not_tried_again(
 ) -> None:
     with pytest.raises(DiedError) as died:
         do(1, what)
-    assert (died.value.restarts, died.value.told) == (0, told)
+    assert (died.value.restarts, died.value.explained) == (0, told)
     assert len((tmp_path / "count").read_text()) == 1
 
 

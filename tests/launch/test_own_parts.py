@@ -142,7 +142,7 @@ def test_a_learner_does_not_go_on_with_another_version_of_them(
         source.write_text(before)
     assert again.returncode == 2
     assert again.stderr == (
-        "error: toys.py, of toys:Cloning, is another than when the run began: restore it, or start"
+        "error: toys.py, of toys:Cloning, has changed since the run began: restore it, or start"
         " a new run\n"
     )
 

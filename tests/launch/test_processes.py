@@ -73,7 +73,7 @@ def test_what_dies_is_started_until_it_ends_well(
     processes = processes_of(agent_0=[COUNT, str(path), "3", "1"])
     work(processes)
     assert count(path) == 3
-    assert processes.health.lives["agent_0"].restarts == 2
+    assert processes.health.of_process["agent_0"].restarts == 2
     assert [event.split(";")[0] for event in processes.drain_events()] == [
         "agent_0: exited with status 1"
     ] * 2
@@ -110,7 +110,7 @@ def test_a_host_that_starts_again_finds_the_learners_that_had_ended(
         host=[wait + COUNT, str(tmp_path / "host"), "2", "1", str(go)],
         agent_0=[COUNT, str(path), "0", "1"],
     )
-    work(processes, until=lambda: processes.health.lives["agent_0"].state == "ended")
+    work(processes, until=lambda: processes.health.of_process["agent_0"].state == "ended")
     go.touch()
     work(processes)
     assert count(tmp_path / "host") == 2
@@ -147,7 +147,7 @@ def test_an_env_host_to_whom_nobody_can_come_any_more_is_started_again(
     shutil.rmtree(socket.parent)
     work(processes)
     assert (count(path), count(agent)) == (2, 2)  # who has ended well is asked once more
-    assert processes.health.lives[HOST].last_end == (
+    assert processes.health.of_process[HOST].last_end == (
         f"was killed by SIGKILL, since it has lost the bus's socket, {socket}"
     )
     told = f"agent_0: waits where the bus was: it is at {tmp_path / 'bus'} now; killed"
@@ -169,6 +169,6 @@ def test_an_env_host_that_takes_its_socket_with_it_ends_by_itself(
     socket.unlink()
     for _ in range(3):
         processes.look()
-    os.kill(processes.health.lives[HOST].pid, signal.SIGUSR1)
+    os.kill(processes.health.of_process[HOST].pid, signal.SIGUSR1)
     work(processes)
-    assert processes.health.lives[HOST].last_end == "exited with status 1"
+    assert processes.health.of_process[HOST].last_end == "exited with status 1"

@@ -71,7 +71,7 @@ def test_a_run_that_is_stopped_in_every_way_leaves_no_process_and_ends_the_same(
     for number, (process, phase, deployment, line, by) in enumerate(moments):
         hold = Hold(process, phase, deployment, tmp_path / f"gate{number}")
         launcher = launch(*command, hold=hold)
-        launcher.read_until(lambda told, line=line: told.startswith(line))
+        launcher.read_until(lambda status, line=line: status.startswith(line))
         children = list(processes_of(folder.root).values())
         assert len(children) == 4
         launcher.process.send_signal(by)
@@ -126,7 +126,7 @@ def test_a_launcher_killed_while_the_report_is_made_goes_on_with_the_report(
     launcher.read_until(lambda line: line.endswith(str(folder.root)))
     assert RunRecord.read(folder).state == "reporting"
     launcher.process.kill()
-    launcher.finish()  # whoever wrote to it has ended, too
+    launcher.finish()  # every writer to it has ended, too
     held.unlink()
     assert status_of(folder.root, capsys)["state"] == "interrupted"
 
@@ -160,8 +160,8 @@ def status_of(run: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     """What `launch status` tells programs."""
     capsys.readouterr()
     assert main(["status", str(run), "--json"]) == 0
-    told: dict[str, Any] = json.loads(capsys.readouterr().out)
-    return told
+    status: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return status
 
 
 def test_a_killed_child_is_started_again_and_the_run_ends_the_same(
@@ -177,9 +177,9 @@ def test_a_killed_child_is_started_again_and_the_run_ends_the_same(
     launcher = launch("3agent_hopper", *tiny_flags, "--out", "run", hold=hold)
     launcher.read_until(lambda line: line.startswith("agent_1: offline"))
     hold.set_clock_back()
-    told = status_of(folder.root, capsys)
-    assert told["state"] == "running"
-    processes = told["supervision"]["processes"]
+    status = status_of(folder.root, capsys)
+    assert status["state"] == "running"
+    processes = status["supervision"]["processes"]
     assert processes.keys() == {"host", *AGENTS}
     victim = processes["agent_1"]["pid"]
     assert victim in processes_of(folder.root).values()
@@ -193,8 +193,8 @@ def test_a_killed_child_is_started_again_and_the_run_ends_the_same(
     assert launcher.finish() == 0, launcher.text
     same(folder, finished[0])
     assert processes_of(folder.root) == {}
-    told = status_of(folder.root, capsys)
-    assert (told["state"], told["supervision"]) == ("finished", None)
+    status = status_of(folder.root, capsys)
+    assert (status["state"], status["supervision"]) == ("finished", None)
 
 
 def test_a_run_trains_from_what_another_one_deployed(
@@ -232,7 +232,7 @@ def test_a_run_does_not_go_on_with_other_data_of_the_same_name(
     Ledger(record, folder).note_inputs(inputs.data(description, AGENTS), description)
     shutil.rmtree(store.agent_file(name, "agent_0").parent)
     import_files([finished[0].deployment(2)], "swapped")
-    says = rf"the data of agent_0 \({name}\) are others than when the run began"
+    says = rf"the data of agent_0 \({name}\) have changed since the run began"
     with pytest.raises(UserError, match=says):
         main(["--resume", str(folder.root)])
     learner = ("-m", "otc_dist.services.learner", "--run", str(folder.root), "--agent", "agent_0")

@@ -28,7 +28,11 @@ from .short import SHORT, short_description
 
 @pytest.mark.parametrize(
     ("out", "says"),
-    [("file/run", "file is no folder"), ("file", "Not a directory"), ("/proc/run", "cannot make")],
+    [
+        ("file/run", "file is not a folder"),
+        ("file", "Not a directory"),
+        ("/proc/run", "cannot make"),
+    ],
 )
 def test_a_folder_that_cannot_be_made(out: str, says: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()

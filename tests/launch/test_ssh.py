@@ -98,7 +98,7 @@ def test_a_run_by_ssh_is_stopped_and_gone_on_with_and_ends_the_same(
         assert len(working) == 1 + len(AGENTS)
         first.process.send_signal(signal.SIGINT)
         assert first.finish() == 128 + signal.SIGINT, first.text
-        assert "the same command goes on" in first.text
+        assert "the same command continues" in first.text
         wait_for_end(working)
         hold.lift()
         again = launch(*command)

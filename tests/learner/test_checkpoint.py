@@ -14,7 +14,7 @@ ARRAYS = {
     "algorithm.actor": np.linspace(-1, 1, 12, dtype=np.float32),
     "algorithm.updates": np.array(7.0),
 }
-PROGRESSED = checkpoint.Progressed("agent_1", "offline", "run", 60_000, 3, 1.25, 0.5)
+PROGRESSED = checkpoint.CheckpointMetadata("agent_1", "offline", "run", 60_000, 3, 1.25, 0.5)
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_what_is_written_is_read(written: Path) -> None:
 
 def test_not_a_number_survives(tmp_path: Path) -> None:
     """The similarity before the first deployment."""
-    fresh = checkpoint.Progressed("agent_1", "offline", "run", 0, -1, 1.0, float("nan"))
+    fresh = checkpoint.CheckpointMetadata("agent_1", "offline", "run", 0, -1, 1.0, float("nan"))
     checkpoint.write(tmp_path / "c", ARRAYS, fresh)
     assert np.isnan(checkpoint.read(tmp_path / "c")[1].similarity)
 

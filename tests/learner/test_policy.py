@@ -144,13 +144,15 @@ def _description(run: Saved, text: str) -> None:
 def _checkpoint(run: Saved, change: object = None, **progress: object) -> None:
     arrays, found = checkpoint.read(run.checkpoint)
     arrays = {key: change(key, array) for key, array in arrays.items()} if change else arrays  # type: ignore[operator]
-    checkpoint.write(run.checkpoint, arrays, checkpoint.Progressed(**{**vars(found), **progress}))
+    checkpoint.write(
+        run.checkpoint, arrays, checkpoint.CheckpointMetadata(**{**vars(found), **progress})
+    )
 
 
 MISTAKES = {
-    "is of agent_0, agent_1, agent_2: say of which, by agent=": lambda run: run.recommend(0),
+    "is of agent_0, agent_1, agent_2: choose one with agent=": lambda run: run.recommend(0),
     "recommended.json is damaged: policy": lambda run: run.recommend("../x"),
-    "is no run's folder: it has no description.toml": lambda run: run.folder.description.unlink(),
+    "is not a run folder: it has no description.toml": lambda run: run.folder.description.unlink(),
     "is not valid TOML": lambda run: _description(run, "["),
     "is damaged; delete it": None,
     "is of unfinished offline training": lambda run: _checkpoint(run, tuned=-1),
@@ -180,7 +182,7 @@ def test_a_mistake_is_one_line(bcq: Saved, message: str) -> None:
         message = "is damaged"
     else:
         change(bcq)
-    several = message.startswith(("is of agent_0", "is no run's"))
+    several = message.startswith(("is of agent_0", "is not a run folder"))
     where = bcq.folder.root if several or "recommended" in message else bcq.checkpoint
     agent = bcq.spec.name if "recommended" in message else None
     with pytest.raises(UserError) as caught:
@@ -194,7 +196,7 @@ def test_other_mistakes_are_one_line(bcq: Saved, tmp_path: Path, monkeypatch) ->
     alone.write_bytes(bcq.checkpoint.read_bytes())
     wrong = {
         "no run and no checkpoint at": lambda: Policy.load(tmp_path / "absent"),
-        "lies in no run's folder": lambda: Policy.load(alone),
+        "is not in a run folder": lambda: Policy.load(alone),
         "unknown agent 'agent_9'": lambda: Policy.load(bcq.folder.root, agent="agent_9"),
         "is one checkpoint": lambda: Policy.load(bcq.checkpoint, deployment=0),
         "ends in .onnx or .pt2, not in '.pt'": lambda: policy.export(tmp_path / "policy.pt"),

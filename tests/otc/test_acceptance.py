@@ -12,7 +12,7 @@ from otc_dist.otc.acceptance import conformal, share
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Scores
 from otc_dist.otc.samplers.correction import CorrectionSection
-from otc_dist.otc.samplers.interface import Extent, Held
+from otc_dist.otc.samplers.interface import Extent, MergedData
 from otc_dist.otc.samplers.uniform import UniformSection
 
 from .held import held_by
@@ -27,7 +27,7 @@ class Given:
     def __init__(self, scores: np.ndarray) -> None:
         self.values = torch.from_numpy(scores)
 
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+    def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         values = self.values.clone()
         if exclude_self:
             values[EXTENT.newest :] += 10

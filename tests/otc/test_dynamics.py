@@ -12,7 +12,7 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.distances.dynamics import DynamicsDistance
 from otc_dist.otc.distances.typical import Misses, TypicalDistance
 from otc_dist.otc.forward import Forward, apart
-from otc_dist.otc.samplers.interface import Extent, Held
+from otc_dist.otc.samplers.interface import Extent, MergedData
 from otc_dist.randomness import stream
 from otc_dist.steps.engine import Engine
 from otc_dist.transitions import RowLayout
@@ -59,7 +59,7 @@ def fitted() -> tuple[torch.Tensor, torch.Tensor, Forward]:
 
 
 @cache
-def held(kind: type[Forward]) -> tuple[Held, np.ndarray]:
+def held(kind: type[Forward]) -> tuple[MergedData, np.ndarray]:
     """The same with what a distance keeps of each row, and what the others did in it."""
     rows, folds, forward = fitted()
     own = kind(SECTION, LAYOUT, Engine("eager"))
@@ -68,7 +68,7 @@ def held(kind: type[Forward]) -> tuple[Held, np.ndarray]:
     own.embed(rows, folds, features)
     extent = Extent(OFFLINE, OFFLINE, len(rows))
     others = np.concatenate([mostly_left(OFFLINE), np.ones(NEWEST)])
-    return Held({}, Data(rows, features, folds), extent, Engine("eager"), random), others
+    return MergedData({}, Data(rows, features, folds), extent, Engine("eager"), random), others
 
 
 def test_typical_prefers_what_the_others_usually_did() -> None:
@@ -121,7 +121,9 @@ def test_the_newest_data_are_judged_by_the_half_that_they_are_not_in() -> None:
     forward.fit(rows[:2000], folds[:2000], random, ignore)
     features = torch.zeros(len(rows), forward.size)
     forward.embed(rows, folds, features)
-    ready = Held({}, Data(rows, features, folds), Extent(2000, 2000, 2060), Engine("eager"), random)
+    ready = MergedData(
+        {}, Data(rows, features, folds), Extent(2000, 2000, 2060), Engine("eager"), random
+    )
     scores = DynamicsDistance(LAYOUT, section).scores(ready, exclude_self=False).values
     assert scores[2000:].mean() == pytest.approx(scores[:2000].mean(), rel=0.5)
 

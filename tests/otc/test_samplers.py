@@ -19,7 +19,7 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.distances import create_distance
 from otc_dist.otc.distances.interface import Matching, Setting
 from otc_dist.otc.samplers.correction import CorrectionSection
-from otc_dist.otc.samplers.interface import Extent, Held
+from otc_dist.otc.samplers.interface import Extent, MergedData
 from otc_dist.steps.noise import Noise, sample_noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
@@ -72,7 +72,7 @@ def matched(section: CorrectionSection) -> RankMatched:
     return RankMatched(section, BATCH, distance)
 
 
-def prepared(data: Data, extent: Extent = EXTENT, weights: State | None = None) -> Held:
+def prepared(data: Data, extent: Extent = EXTENT, weights: State | None = None) -> MergedData:
     return held_by(weights or state(), data, extent, np.random.default_rng(0))
 
 

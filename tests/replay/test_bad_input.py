@@ -89,7 +89,7 @@ def test_a_damaged_log_points_to_recover(
         (["--recover", "--agent", "agent_0"], "--agent does nothing with --recover"),
         (["--html", "a.html", "--out", "b.html"], "--out does nothing with --html"),
         (["--export", "csv", "--accept-unbound"], "--accept-unbound does nothing with --export"),
-        (["--video", "film.gif"], "--video writes .mp4, and film.gif is called otherwise"),
+        (["--video", "film.gif"], "--video writes .mp4, and film.gif ends differently"),
         (["--sheet", "film.jpg"], "--sheet writes .png"),
         (["--html", "page.pdf"], "--html writes .html"),
         (["--foxglove", "all.bag"], "--foxglove writes .mcap"),

@@ -45,8 +45,8 @@ def test_each_agent_gets_its_own_transitions_to_the_bit(
 ) -> None:
     monkeypatch.setattr("otc_dist.replay.export.command._BATCH", 250)
     out = tmp_path / "out"
-    status, told = replay(*hopper.paths, "--export", form, "--out", out)
-    assert status == 0 and "600 transitions" in told
+    status, output = replay(*hopper.paths, "--export", form, "--out", out)
+    assert status == 0 and "600 transitions" in output
     for index, agent in enumerate(AGENTS):
         same_bits(READERS[form](out, agent), hopper.of_agent(index))
     card = json.loads((out / "export.json").read_text())

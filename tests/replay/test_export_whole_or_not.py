@@ -67,7 +67,7 @@ def test_without_its_library_the_extra_is_named(
     extra: str,
 ) -> None:
     for module in [name for name in sys.modules if name.startswith("otc_dist.replay.export.")]:
-        if not module.endswith(("formats", "trajectories", "command", "room")):
+        if not module.endswith(("formats", "trajectories", "command", "disk_space")):
             monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, library, None)
     message = refused(hopper.paths[0], "--export", form, "--out", tmp_path / "out")
@@ -107,7 +107,7 @@ def test_an_interrupted_export_leaves_nothing_behind(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("otc_dist.replay.export.command.require_room", interrupt)
+    monkeypatch.setattr("otc_dist.replay.export.command.require_space", interrupt)
     with pytest.raises(KeyboardInterrupt):
         replay(*hopper.paths, "--export", "lerobot", "--out", tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

@@ -243,7 +243,7 @@ def test_a_browser_plays_the_page(page: Path, deployment, tmp_path: Path, chromi
     assert int(seen["second episode"][0]) == first + 1
     assert seen["home"][1] == "copy 0, its 1st episode"
     assert seen["second episode"][1] == "copy 0, its 2nd episode"
-    # Zoomed by e around the cursor; whoever goes elsewhere takes the plots along.
+    # Zoomed by e around the cursor; moving elsewhere takes the plots along.
     (first, last), (begin, end) = seen["zoomed"], seen["followed"]
     assert last - first == pytest.approx(119 / np.e) and (first + last) / 2 == pytest.approx(59.5)
     assert end == pytest.approx(119) and end - begin == pytest.approx(last - first)

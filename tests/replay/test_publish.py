@@ -1,4 +1,4 @@
-"""`--publish` without learners: whoever listens sees what was, as it was, when it is due."""
+"""`--publish` without learners: any listener sees what was, as it was, when it is due."""
 
 import subprocess
 import sys
@@ -50,8 +50,8 @@ def heard(log: Path, run: Path, *arguments: str) -> dict[str, list[bytes]]:
         # One subscription: the publisher begins as soon as there is any.
         session.subscribe(f"otc/{read_header(log).run}/*/*/*", receive)
         assert publisher.stderr is not None
-        told = publisher.stderr.read()
-        assert publisher.wait(60) == 0, told
+        output = publisher.stderr.read()
+        assert publisher.wait(60) == 0, output
     return found
 
 
@@ -115,7 +115,7 @@ def test_steps_are_due_as_they_were_recorded(
 def test_a_gap_of_the_log_s_clock_is_told_and_not_waited_for(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As behind a stop for the night, or where somebody set the clock."""
+    """As after a stop for the night, or where somebody set the clock."""
     now, jumps = [0.0], iter([*range(0, 10), *range(86_400 + 9, 86_400 + 59)])
     with monkeypatch.context() as recording:
         recording.setattr(
@@ -128,8 +128,8 @@ def test_a_gap_of_the_log_s_clock_is_told_and_not_waited_for(
     given = list(publish._steps(summary, Selection(0, summary.end, ("agent_0",)), 10.0))
     assert len(given) == 60
     assert now[0] == pytest.approx((58 + publish.LONGEST_GAP) / 10)
-    told = capsys.readouterr().err
-    assert "the log's clock went on by 86,400 s before step 10: 5 s are waited" in told
+    output = capsys.readouterr().err
+    assert "the log's clock jumped by 86,400 s before step 10: waiting 5 s instead" in output
 
 
 Refused = Callable[..., str]

@@ -35,10 +35,10 @@ def test_every_whole_step_is_in_the_new_log(
 ) -> None:
     made, _ = recorded
     path = damaged(recorded, tmp_path)
-    status, told = replay(path, "--recover")
+    status, output = replay(path, "--recover")
     out = tmp_path / "log.recovered.mcap"
     assert status == 1  # some are missing
-    assert told.startswith(f"{out}: ") and "missing: steps " in told
+    assert output.startswith(f"{out}: ") and "missing: steps " in output
     steps = list(read_steps(out))
     assert 600 < len(steps) < 1200
     assert all(same_step(step, made.steps[step.step]) for step in steps)
@@ -54,10 +54,10 @@ def test_an_unfinished_log_is_found_by_both_names(tmp_path: Path, replay, named:
     made.write(tmp_path / "log.mcap").close()
     partial = tmp_path / "log.mcap.partial"
     partial.write_bytes(partial.read_bytes()[:-1])
-    status, told = replay(tmp_path / named, "--recover")
+    status, output = replay(tmp_path / named, "--recover")
     out = tmp_path / "log.recovered.mcap"
     assert status == 1
-    assert told == (
+    assert output == (
         f"{out}: partial: 11 steps, of how many is not known;"
         " missing: none before step 11, and how many follow is not known\n"
     )
@@ -90,16 +90,16 @@ def test_what_is_missing_at_the_end_is_told_by_every_reader(
     short = "partial: 63 of 120 steps"
     path = unfinished(sequential, tmp_path, 63)
     assert "unfinished: 63 of 120 steps; killed, or" in replay(path)[1]
-    status, told = replay(path, "--recover")
+    status, output = replay(path, "--recover")
     out = path.with_name("deployment_01.recovered.mcap")
-    assert (status, told) == (1, f"{out}: {short}; missing: steps 63 to 119\n")
+    assert (status, output) == (1, f"{out}: {short}; missing: steps 63 to 119\n")
     again = tmp_path / "again.mcap"
     assert replay(out, "--recover", "--out", again)[0] == 1
     for log in (out, again):
-        status, told = replay(log)
-        assert f"  state         {short}\n" in told and "gaps          steps 63 to 119" in told
-        status, told = replay(log, "--verify")
-        assert status == 1 and f"WRONG {short} that its description asks for" in told
+        status, output = replay(log)
+        assert f"  state         {short}\n" in output and "gaps          steps 63 to 119" in output
+        status, output = replay(log, "--verify")
+        assert status == 1 and f"WRONG {short} that its description asks for" in output
         assert replay(log, "--export", "csv", "--out", tmp_path / "csv", "--force")[0] == 0
         (of_log,) = json.loads((tmp_path / "csv" / "export.json").read_text())["logs"]
         assert (of_log["whole"], of_log["held"]) == (False, "63 of 120 steps")
@@ -129,9 +129,9 @@ def test_all_steps_of_a_log_without_its_end_are_not_called_whole(
         path.write_bytes(sequential.read_bytes()[:-100])
     else:
         path = unfinished(sequential, tmp_path)
-    status, told = replay(path, "--recover")
+    status, output = replay(path, "--recover")
     out, count = path.with_name("deployment_01.recovered.mcap"), "120 of 120 steps"
-    assert (status, told) == (0, f"{out}: recovered without its end: {count}; missing: none\n")
+    assert (status, output) == (0, f"{out}: recovered without its end: {count}; missing: none\n")
     replay(out, "--recover", "--out", tmp_path / "again.mcap")
     for log in (out, tmp_path / "again.mcap"):
         assert f"recovered without its end: {count}" in replay(log)[1]
@@ -143,8 +143,8 @@ def test_what_lost_nothing_is_whole_again(sequential: Path, tmp_path: Path, repl
     data, path = bytearray(sequential.read_bytes()), tmp_path / "log.mcap"
     data[data.index(b"otc_dist.episodes") + 60] ^= 1  # in a table, which is found again
     path.write_bytes(data)
-    status, told = replay(path, "--recover")
-    assert status == 0 and "all of 120 of 120 steps; missing: none" in told
+    status, output = replay(path, "--recover")
+    assert status == 0 and "all of 120 of 120 steps; missing: none" in output
     out = tmp_path / "log.recovered.mcap"
     assert "  state         recovered\n" in replay(out)[1]
     assert read_summary(out).extent.whole
@@ -199,9 +199,9 @@ def test_steps_of_another_deployment_in_a_log_of_the_older_form_are_left_out(
     path.write_bytes(
         data[: start + low] + foreign[there + low : there + high] + data[start + high :]
     )
-    status, told = replay(path, "--recover", "--out", out)
+    status, output = replay(path, "--recover", "--out", out)
     assert status == 1
-    assert "missing: steps 40 to 49; left out: 10 steps with seeds of another deployment" in told
+    assert "missing: steps 40 to 49; left out: 10 steps with seeds of another deployment" in output
     steps = list(read_steps(sequential))
     assert all(same_step(step, steps[step.step]) for step in read_steps(out))
     assert import_files([path], "mixed").notes == (

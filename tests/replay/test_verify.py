@@ -33,12 +33,12 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_every_family_comes_out_again_to_the_bit(
     logs: dict[str, Path], replay, env_id: str
 ) -> None:
-    status, told = replay(logs[env_id], "--verify")
+    status, output = replay(logs[env_id], "--verify")
     episodes = len(read_summary(logs[env_id]).episodes)
-    assert status == 0, told
-    assert f"{episodes} episodes played again, 120 steps: every observation, reward" in told
-    assert "checksums of 120 steps, of" in told and "0 to 119 without a gap" in told
-    assert "as many as its description asks for: 120" in told
+    assert status == 0, output
+    assert f"{episodes} episodes played again, 120 steps: every observation, reward" in output
+    assert "checksums of 120 steps, of" in output and "0 to 119 without a gap" in output
+    assert "as many as its description asks for: 120" in output
 
 
 def flipped(array: np.ndarray, copy: int) -> np.ndarray:
@@ -74,9 +74,9 @@ def test_one_bit_is_found_and_named(
     ends = [step.step for step in steps if (step.terminated | step.truncated)[1]]
     number = ends[0] + 3
     wrong = retold(logs[env_id], tmp_path / "log.mcap", exchanged(steps[number], field))
-    status, told = replay(wrong, "--verify")
+    status, output = replay(wrong, "--verify")
     assert status == WRONG
-    assert f"WRONG played again, step {number}, copy 1: {what} differs" in told
+    assert f"WRONG played again, step {number}, copy 1: {what} differs" in output
 
 
 @pytest.mark.parametrize("after", [0, 60])  # steps that are left out before
@@ -85,10 +85,12 @@ def test_seeds_of_another_deployment_are_found_also_in_a_part(
 ) -> None:
     """The older form could hold them: what is logged there goes together."""
     wrong = retold(logs["navigation"], tmp_path / "log.mcap", deployment=1, format_version=1)
-    status, told = replay(wrong, "--verify", "--steps", f"{after}:")
+    status, output = replay(wrong, "--verify", "--steps", f"{after}:")
     assert status == WRONG
-    assert f"WRONG step {after}, copy 0: the episode's seed is not one that the run's seed" in told
-    assert f"{2 * (120 - after)} transitions of such episodes" in told
+    assert (
+        f"WRONG step {after}, copy 0: the episode's seed is not one that the run's seed" in output
+    )
+    assert f"{2 * (120 - after)} transitions of such episodes" in output
     assert "ok    seeds of all episodes" in replay(logs["navigation"], "--verify")[1]
 
 
@@ -96,11 +98,11 @@ def test_a_log_of_the_older_form_is_unbound_unless_that_is_accepted(
     logs: dict[str, Path], tmp_path: Path, replay
 ) -> None:
     path = retold(logs["navigation"], tmp_path / "log.mcap", format_version=1)
-    status, told = replay(path, "--verify")
+    status, output = replay(path, "--verify")
     assert status == UNBOUND
-    assert "unbound log version 1: its checksums do not tell" in told
-    status, told = replay(path, "--verify", "--accept-unbound")
-    assert status == 0 and "ok    unbound, as accepted" in told
+    assert "unbound log version 1: its checksums do not say" in output
+    status, output = replay(path, "--verify", "--accept-unbound")
+    assert status == 0 and "ok    unbound, as accepted" in output
     assert (
         "ok    every step is of run replayed-run, deployment 2"
         in (replay(logs["navigation"], "--verify")[1])
@@ -113,11 +115,11 @@ def test_other_actions_are_found_where_they_first_matter(
     steps = list(read_steps(logs["hopper-3x1"]))
     step = steps[7]
     other = replace(step, actions=(step.actions[0] * np.float32(0.5), *step.actions[1:]))
-    status, told = replay(retold(logs["hopper-3x1"], tmp_path / "log.mcap", other), "--verify")
+    status, output = replay(retold(logs["hopper-3x1"], tmp_path / "log.mcap", other), "--verify")
     assert status == WRONG
-    assert [line for line in told.splitlines() if "step 7, copy 0: a reward differs" in line]
-    # Later episodes begin from their own seeds again: one difference a copy, not one a step.
-    assert told.count("WRONG played again") == 2
+    assert [line for line in output.splitlines() if "step 7, copy 0: a reward differs" in line]
+    # Later episodes begin from their own seeds again: one difference per copy, not one per step.
+    assert output.count("WRONG played again") == 2
 
 
 def test_a_description_of_another_version_hides_no_simulation(
@@ -125,15 +127,15 @@ def test_a_description_of_another_version_hides_no_simulation(
 ) -> None:
     text = described("navigation", 120, 2).to_toml() + '[new]\nkey = "value"\n'
     path = retold(logs["navigation"], tmp_path / "log.mcap", description=text)
-    status, told = replay(path, "--verify")
-    assert status == 0 and "120 steps: every observation" in told
-    assert "-     its policies, since its description is not understood" in told
-    assert "as many as its description asks for: 120" in told
+    status, output = replay(path, "--verify")
+    assert status == 0 and "120 steps: every observation" in output
+    assert "-     its policies, since its description is not understood" in output
+    assert "as many as its description asks for: 120" in output
 
 
 def test_a_part_is_verified_from_its_first_state(logs: dict[str, Path], replay) -> None:
-    status, told = replay(logs["hopper-3x1"], "--verify", "--steps", "37:61")
-    assert status == 0 and "24 steps: every observation" in told
+    status, output = replay(logs["hopper-3x1"], "--verify", "--steps", "37:61")
+    assert status == 0 and "24 steps: every observation" in output
 
 
 def test_another_mujoco_gives_one_step_errors(
@@ -141,10 +143,10 @@ def test_another_mujoco_gives_one_step_errors(
 ) -> None:
     elsewhere = {**versions(), "mujoco": "3.2.1"}
     path = retold(logs["hopper-3x1"], tmp_path / "log.mcap", versions=elsewhere)
-    status, told = replay(path, "--verify")
+    status, output = replay(path, "--verify")
     assert status == 0  # this one does the same
-    assert "another simulator (mujoco 3.2.1 there, 4.0.0 here): 240 single steps" in told
-    assert "rewards by 0 at most, 0 ends differ" in told
+    assert "another simulator (mujoco 3.2.1 there, 4.0.0 here): 240 single steps" in output
+    assert "rewards by 0 at most, 0 ends differ" in output
 
     from otc_dist.envs import robots
 
@@ -156,9 +158,9 @@ def test_another_mujoco_gives_one_step_errors(
         return model
 
     monkeypatch.setattr(robots, "load_model", heavier)
-    status, told = replay(path, "--verify")
+    status, output = replay(path, "--verify")
     assert status == CLOSE
-    line = next(line for line in told.splitlines() if "single steps" in line)
+    line = next(line for line in output.splitlines() if "single steps" in line)
     assert line.startswith("  close another simulator") and "off by 0 standard" not in line
     assert replay(logs["hopper-3x1"], "--verify")[0] == WRONG  # that claims to be the same
 
@@ -168,8 +170,8 @@ def test_a_damaged_log_is_told(logs: dict[str, Path], tmp_path: Path, replay) ->
     path = tmp_path / "log.mcap"
     data[len(data) // 4] ^= 1
     path.write_bytes(data)
-    status, told = replay(path, "--verify")
-    assert status == WRONG and "is damaged" in told and "--recover" in told
+    status, output = replay(path, "--verify")
+    assert status == WRONG and "is damaged" in output and "--recover" in output
 
 
 def test_bytes_that_no_step_depends_on_are_covered_too(
@@ -181,8 +183,8 @@ def test_bytes_that_no_step_depends_on_are_covered_too(
     path = tmp_path / "log.mcap"
     path.write_bytes(data)
     assert replay(path)[0] == 0
-    status, told = replay(path, "--verify")
-    assert status == WRONG and "crc validation failed" in told
+    status, output = replay(path, "--verify")
+    assert status == WRONG and "crc validation failed" in output
 
 
 def test_a_gap_is_told_and_what_is_behind_it_is_played(
@@ -198,11 +200,11 @@ def test_a_gap_is_told_and_what_is_behind_it_is_played(
     data[-50 * (len(data) // 130)] ^= 1  # within some step
     partial.write_bytes(data)
     replay(partial, "--recover")
-    status, told = replay(tmp_path / "log.recovered.mcap", "--verify")
+    status, output = replay(tmp_path / "log.recovered.mcap", "--verify")
     assert status == WRONG
-    assert told.count("WRONG") == 2 and "are missing" in told
-    assert "WRONG partial: 119 of 120 steps that its description asks for" in told
-    assert "119 steps: every observation" in told
+    assert output.count("WRONG") == 2 and "are missing" in output
+    assert "WRONG partial: 119 of 120 steps that its description asks for" in output
+    assert "119 steps: every observation" in output
 
 
 def test_an_unfinished_log_is_verified_as_far_as_it_goes(
@@ -212,9 +214,11 @@ def test_an_unfinished_log_is_verified_as_far_as_it_goes(
     for step in read_steps(logs["hopper-3x1"], 0, 30):
         writer.write(step)
     writer.close()
-    status, told = replay(tmp_path / "log.mcap", "--verify")
+    status, output = replay(tmp_path / "log.mcap", "--verify")
     assert status == 0
-    assert "30 steps: every observation" in told and "unfinished: 30 of 120 steps that its" in told
+    assert (
+        "30 steps: every observation" in output and "unfinished: 30 of 120 steps that its" in output
+    )
 
 
 @pytest.fixture(scope="module")
@@ -236,12 +240,12 @@ def acted(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 
 def test_logged_actions_are_those_of_the_checkpoints(acted: RunFolder, replay) -> None:
-    status, told = replay(acted.deployment(1), "--verify")
-    assert status == 0, told
+    status, output = replay(acted.deployment(1), "--verify")
+    assert status == 0, output
     for agent, digest in read_summary(acted.deployment(1)).policies.items():
-        assert f"ok    {agent}: policy {digest}, actions of 60 steps computed again" in told
-    _, told = replay(acted.deployment(1), "--verify", "--agent", "agent_1")
-    assert told.count("computed again") == 1
+        assert f"ok    {agent}: policy {digest}, actions of 60 steps computed again" in output
+    _, output = replay(acted.deployment(1), "--verify", "--agent", "agent_1")
+    assert output.count("computed again") == 1
 
 
 def test_an_action_that_the_policy_would_not_take_is_found(
@@ -257,14 +261,14 @@ def test_an_action_that_the_policy_would_not_take_is_found(
     steps[9] = replace(steps[9], actions=actions)
     summary = read_summary(path)
     logged(run.deployment(1), summary.header, steps, summary.policies)
-    status, told = replay(run.deployment(1), "--verify")
+    status, output = replay(run.deployment(1), "--verify")
     assert status == WRONG
-    assert "WRONG agent_1: policy" in told and "otherwise than was logged in step 9" in told
-    assert told.count("computed again") == 2
+    assert "WRONG agent_1: policy" in output and "differently from the log in step 9" in output
+    assert output.count("computed again") == 2
 
     run.checkpoint("agent_0", 0).unlink()
-    _, told = replay(run.deployment(1), "--verify")
-    assert "-     agent_0: its checkpoint is not at" in told
+    _, output = replay(run.deployment(1), "--verify")
+    assert "-     agent_0: its checkpoint is not at" in output
 
 
 def test_what_cannot_be_played_here_is_told_in_one_line(

@@ -87,11 +87,11 @@ def test_nothing_is_stopped_by_a_floor_after_the_last_deployment(made) -> None:
 
 
 def test_where_tuning_went_back_it_is_told_from_where(made) -> None:
-    assert "tuning went on from" not in report(made)[1].text
+    assert "tuning continued from" not in report(made)[1].text
     made.describe("deployment.revert=true")
     results, page = report(made)
     assert [row["reverted_to"] for row in results["measured"]] == [None, None, 1]
-    assert "tuning went on from" in page.text
+    assert "tuning continued from" in page.text
 
 
 def test_a_damaged_log_is_told_and_what_lies_before_it_counts(made) -> None:

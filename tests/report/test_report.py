@@ -245,7 +245,7 @@ def test_no_run_folder(tmp_path: Path) -> None:
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert out.returncode == 2 and out.stdout == ""
-    assert re.fullmatch(r"error: .* is no run folder: it has no description.toml\n", out.stderr)
+    assert re.fullmatch(r"error: .* is not a run folder: it has no description.toml\n", out.stderr)
 
 
 def test_the_command_reports_every_run(made) -> None:

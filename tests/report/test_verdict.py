@@ -17,7 +17,7 @@ from .test_report import report
 OFFLINE = [100.0, 110.0]
 
 
-def told(made: MadeRun) -> tuple[str, str]:
+def result(made: MadeRun) -> tuple[str, str]:
     """The sentence of the results, which the page and the last lines begin with as well."""
     results, page = report(made)
     found = results["verdict"]
@@ -57,7 +57,7 @@ def test_what_the_recommended_policy_has_over_the_offline_one(
     made.describe("deployment.keep=last")
     made.evaluate(0, OFFLINE)
     made.evaluate(3, last)
-    assert told(made) == (tone, sentence)
+    assert result(made) == (tone, sentence)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_the_offline_policy_is_recommended(
     made.deploy(1, [10.0, 12.0])
     made.evaluate(0, OFFLINE)
     made.evaluate(3, last)
-    found = told(made)
+    found = result(made)
     assert found[0] == tone and found[1].startswith(so)
     assert "105.0, the last tuned one, pi_3, " in found[1]
 
@@ -122,16 +122,16 @@ def test_a_run_with_uniform_sampling_beside_it_is_the_reference(made: MadeRun) -
 def test_a_run_that_goes_on_says_so_far(made: MadeRun) -> None:
     made.folder.evaluation(3).unlink()
     made.folder.deployment(3).unlink()
-    assert told(made)[1].startswith("So far: no clear change: the recommended policy, pi_1")
+    assert result(made)[1].startswith("So far: no clear change: the recommended policy, pi_1")
     for k in (1, 2):
         made.folder.evaluation(k).unlink()
         made.folder.deployment(k).unlink()
-    assert told(made) == (
+    assert result(made) == (
         "open",
         "Nothing has been tuned yet: the offline policy returns -20.0.",
     )
     made.folder.evaluation(0).unlink()
-    assert told(made) == ("open", "Nothing has been measured yet.")
+    assert result(made) == ("open", "Nothing has been measured yet.")
 
 
 def test_without_evaluations_the_deployments_tell(made: MadeRun) -> None:
@@ -140,7 +140,7 @@ def test_without_evaluations_the_deployments_tell(made: MadeRun) -> None:
         made.folder.evaluation(k).unlink()
     made.folder.deployment(2).unlink()
     made.deploy(2, [40.0, 42.0])
-    assert told(made)[1].startswith("Tuning helped: the recommended policy, pi_1, returns 41.0")
+    assert result(made)[1].startswith("Tuning helped: the recommended policy, pi_1, returns 41.0")
 
 
 def test_a_change_is_not_called_improvement(made: MadeRun) -> None:

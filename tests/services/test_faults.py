@@ -55,7 +55,7 @@ def test_a_killed_learner_that_is_restarted_ends_with_the_same_bytes(
 def test_a_checkpoint_that_the_disk_damages_is_made_again_before_its_learner_leaves(
     run: Services, undisturbed: Services, tmp_path: Path, k: int
 ) -> None:
-    """Also the last one: nobody reads it any more, and only the env host's log can mend it."""
+    """Also the last one: nobody reads it any more, and only the env host's log can repair it."""
     gate = tmp_path / "gate"
     os.mkfifo(gate)
     run.start("host", hold=["done", 2, 0, str(gate)])
@@ -85,9 +85,9 @@ def test_a_policy_that_another_kind_of_processor_trained_again_goes_on(
         run.folder.checkpoint("agent_1", 0).unlink()
         run.start("agent_1", stub="elsewhere")
     assert set(run.wait_all().values()) == {0}, run.output("host")
-    told = run.output("host")
-    assert "than it began deployment 1 with" in told and "on this kind of processor" in told
-    assert "did not repeat itself" not in told
+    said = run.output("host")
+    assert "than it began deployment 1 with" in said and "on this kind of processor" in said
+    assert "did not repeat itself" not in said
 
 
 @pytest.mark.parametrize("moment", MOMENTS)
@@ -243,4 +243,4 @@ def test_a_router_between_all_processes_changes_no_byte_even_if_it_is_killed(
         router.kill()
         router.wait()
     assert run.result() == undisturbed.result()
-    assert "WARNING: --insecure: whoever reaches" in run.output("agent_0")
+    assert "WARNING: --insecure: anyone who reaches" in run.output("agent_0")

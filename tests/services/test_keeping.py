@@ -57,8 +57,8 @@ def test_all_learners_recommend_what_the_logs_say_was_best(confirmed: Services) 
     found = by_the_logs(confirmed, 5)
     assert len({one.mean for one in found}) == 5
     best = measured_returns.best(found)
-    for agent, told in zip(AGENTS, recommendations(confirmed), strict=True):
-        assert told == {
+    for agent, content in zip(AGENTS, recommendations(confirmed), strict=True):
+        assert content == {
             "agent": agent,
             "deployment": best,
             "policy": best - 1,
@@ -94,7 +94,7 @@ def test_a_delayed_and_a_restarted_learner_decide_as_the_others(
     assert run.wait("agent_1") == -signal.SIGKILL
     run.start("agent_1", stub=True)
     finish(run)
-    decisions = [(told["deployment"], told["checkpoint"]) for told in recommendations(run)]
+    decisions = [(content["deployment"], content["checkpoint"]) for content in recommendations(run)]
     assert len(set(decisions)) == 1
     assert run.result() == confirmed.result()
 
@@ -103,8 +103,8 @@ def test_the_last_tuned_policy_is_recommended_where_that_is_asked_for(
     make_run: MakeRun, tmp_path: Path
 ) -> None:
     run = undisturbed(make_run, tmp_path / "run", "deployment.keep=last")
-    for told in recommendations(run):
-        assert (told["policy"], told["deployment"], told["keep"]) == (2, None, "last")
+    for content in recommendations(run):
+        assert (content["policy"], content["deployment"], content["keep"]) == (2, None, "last")
 
 
 def test_tuning_goes_on_from_the_best_policy_so_far(reverting: Services) -> None:
@@ -114,7 +114,7 @@ def test_tuning_goes_on_from_the_best_policy_so_far(reverting: Services) -> None
     fell_short = 0
     for k in range(1, 5):
         best = measured_returns.best(found[:k])
-        line = f"deployment {k} fell short: tuning goes on from policy {best - 1}"
+        line = f"deployment {k} fell short: tuning continues from policy {best - 1}"
         assert (line in said) is (best < k)
         fell_short += best < k
     assert fell_short  # or nothing was tested
@@ -166,7 +166,7 @@ def test_no_deployment_follows_one_below_the_floor(make_run: MakeRun, tmp_path: 
     assert run.folder.evaluation(1).exists() and run.folder.checkpoint("agent_0", 1).exists()
     assert not run.folder.deployment(2).exists()
     assert "below deployment.floor = 1e+06: none follows" in run.output("host")
-    assert {told["deployment"] for told in recommendations(run)} == {1}
+    assert {content["deployment"] for content in recommendations(run)} == {1}
 
 
 def test_a_floor_that_is_reached_changes_nothing(
@@ -185,11 +185,11 @@ def test_a_deployment_waits_for_a_person_and_nobody_gives_up(
     for process in PROCESSES:
         run.start(process, *patience, **({"stub": True} if process != "host" else {}))
     run.wait_for_file(run.folder.waiting)
-    told = json.loads(run.folder.waiting.read_text())
-    assert (told["deployment"], told["policy"], told["measured"]) == (1, 0, None)
-    assert told["approve_by"] == "deployments/approved_01"
+    content = json.loads(run.folder.waiting.read_text())
+    assert (content["deployment"], content["policy"], content["measured"]) == (1, 0, None)
+    assert content["approve_by"] == "deployments/approved_01"
     evaluation = json.loads(run.folder.evaluation(0).read_text())
-    assert told["greedy_return"] == evaluation["mean_return"]
+    assert content["greedy_return"] == evaluation["mean_return"]
     handles = [os.pidfd_open(process.pid) for process in run.running.values()]
     ended, _, _ = select.select(handles, [], [], deadline + 1)
     for handle in handles:
@@ -198,9 +198,9 @@ def test_a_deployment_waits_for_a_person_and_nobody_gives_up(
     run.folder.approval(1).touch()
     run.wait_for_file(run.folder.deployment(1))
     run.wait_for_file(run.folder.waiting)
-    told = json.loads(run.folder.waiting.read_text())
+    content = json.loads(run.folder.waiting.read_text())
     _, first = read_measured(run.folder.deployment(1))
-    assert told["measured"] == {"deployment": 1, **vars(first)}
+    assert content["measured"] == {"deployment": 1, **vars(first)}
     for process in PROCESSES:
         assert run.stop(process, signal.SIGTERM) == 128 + signal.SIGTERM
     assert not run.folder.waiting.exists()  # nobody waits any more

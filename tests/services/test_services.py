@@ -185,8 +185,8 @@ def test_a_fresh_learner_tuned_from_the_replayed_logs_ends_with_the_same_bytes(
 ) -> None:
     """On the real bus, without the other two: it learns nothing of them anyway."""
     run.start("agent_1")
-    status, told = _publish(finished, run, "--agent", "agent_1")
-    assert status == 0, told
+    status, said = _publish(finished, run, "--agent", "agent_1")
+    assert status == 0, said
     assert run.wait("agent_1") == 0
     for k in (0, 1, 2):
         path = finished.folder.checkpoint("agent_1", k)
@@ -197,10 +197,10 @@ def test_another_learner_than_the_one_in_the_log_is_refused(
     finished: Services, run: Services
 ) -> None:
     run.start("agent_1", stub=True)
-    status, told = _publish(finished, run, "--agent", "agent_1")
+    status, said = _publish(finished, run, "--agent", "agent_1")
     assert status == 1
-    assert "agent_1 acts by policy" in told and "is not the one that was there" in told
-    assert told.splitlines()[-1].startswith("error: ")
+    assert "agent_1 acts by policy" in said and "is not the one that was there" in said
+    assert said.splitlines()[-1].startswith("error: ")
 
 
 def _service(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -60,7 +60,7 @@ def test_what_a_command_sees_is_what_it_would_see_by_itself(
     assert main(["launch", "--list"]) == 0
     assert "3agent_hopper" in capsys.readouterr().out
     assert sys.argv == ["otc-dist", "--list"]
-    with pytest.raises(UserError, match="nowhere is no run folder"):
+    with pytest.raises(UserError, match="nowhere is not a run folder"):
         main(["status", "nowhere"])
     assert sys.argv == ["otc-dist", "status", "nowhere"]
 

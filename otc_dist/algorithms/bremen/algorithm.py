@@ -6,7 +6,7 @@ deployment models and clone are fitted further, and the policy starts from the c
 keeps it near the data is where it starts and how little each step may change it.
 
 Rewards and ends of episodes in the rollouts are the task's, not learned, as in BREMEN's code.
-docs/method.md tells where this differs from that code, and why.
+docs/method.md says where this differs from that code, and why.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ class PolicyStep:
         """
         centred = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
         weights = centred / len(centred)
-        slope, judge, fisher = fuse(self.slope), fuse(self.judge), fuse(self.fisher)
+        slope, evaluate, fisher = fuse(self.slope), fuse(self.evaluate), fuse(self.fisher)
         parts, gradient = [], torch.zeros_like(policy)
         split = (torch.split(rows, PART) for rows in (observations, actions, weights))
         for part in zip(*split, strict=True):
@@ -62,7 +62,7 @@ class PolicyStep:
             gradient = gradient + share
 
         def outcome(policy: Tensor) -> tuple[Tensor, Tensor]:
-            judged = [judge(policy, *part) for part in parts]
+            judged = [evaluate(policy, *part) for part in parts]
             gain, divergence = torch.stack([torch.stack(one) for one in judged]).sum(0)
             return gain, divergence / len(observations)
 
@@ -86,7 +86,7 @@ class PolicyStep:
 
         return old, value_and_gradient(gain, policy)[1]
 
-    def judge(
+    def evaluate(
         self, policy: Tensor, observations: Tensor, actions: Tensor, weights: Tensor, old: Tensor
     ) -> tuple[Tensor, Tensor]:
         """sum_i w_i (pi(a_i|s_i) / pi_old(a_i|s_i) - 1), and sum_i KL(pi_old(s_i) || pi(s_i))."""

@@ -3,8 +3,8 @@
 Data sets are generated jointly, so an analysis, never a learner, knows the other agents' actions.
 The smaller |a_-i - pi_-i(s)| is in the selected transitions, the better they follow the online
 dynamics; and so they do the better, the nearer s' is to what the simulator, where it can be set to
-a state, reaches with the others acting as now. Everything is told as a ratio to uniform sampling,
-so 1 is no effect.
+a state, reaches with the others acting as now. Everything is reported as a ratio to uniform
+sampling, so 1 is no effect.
 """
 
 import time
@@ -18,7 +18,7 @@ from otc_dist.comparison.frozen_agent import FrozenAgent
 from otc_dist.comparison.mechanism.pool import Pool, pools
 from otc_dist.comparison.mechanism.selectors import noise_spec, selectors
 from otc_dist.comparison.mechanism.table import ONLINE
-from otc_dist.comparison.runs import Tell
+from otc_dist.comparison.runs import OnProgress
 from otc_dist.comparison.scores import ComparisonFolder, write_json
 from otc_dist.description import Description
 from otc_dist.envs import registry
@@ -42,7 +42,9 @@ class Selected:
     online: float  # no ratio: the share of D_1's own transitions, which match themselves
 
 
-def measure(folder: ComparisonFolder, base: Description, seed: int, name: str, tell: Tell) -> None:
+def measure(
+    folder: ComparisonFolder, base: Description, seed: int, name: str, on_progress: OnProgress
+) -> None:
     """Measure one seed at the first deployment, and write `folder.mechanism(name, seed)`.
 
     Nobody explores in it, whatever `base` says: D_1 is what the policies do.
@@ -55,12 +57,12 @@ def measure(folder: ComparisonFolder, base: Description, seed: int, name: str, t
     spec = registry.team_spec(base.env.id)
     files = folder.seed(seed)
     frozen_agents = [FrozenAgent(description, a, files.checkpoint(a.name, 0)) for a in spec.agents]
-    held = pools(folder, description, frozen_agents, POOL, tell)
+    held = pools(folder, description, frozen_agents, POOL, on_progress)
     found: dict[str, dict[str, Selected]] = {}
     for index, (agent, frozen, pool) in enumerate(
         zip(spec.names, frozen_agents, held, strict=True)
     ):
-        tell(0.5 + 0.5 * index / len(held), f"minibatches of {agent}")
+        on_progress(0.5 + 0.5 * index / len(held), f"minibatches of {agent}")
         for row, selected in _selected(description, frozen, pool, agent).items():
             found.setdefault(row, {})[agent] = selected
     write_json(

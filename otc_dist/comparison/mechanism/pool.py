@@ -10,7 +10,7 @@ from torch import Tensor
 
 from otc_dist.comparison import perfect
 from otc_dist.comparison.frozen_agent import FrozenAgent
-from otc_dist.comparison.runs import Tell, restored
+from otc_dist.comparison.runs import OnProgress, restored
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.datasets.joint import JointTransitions
@@ -20,7 +20,7 @@ from otc_dist.learner import team
 from otc_dist.learner.folds import folds
 from otc_dist.otc import create_sampler
 from otc_dist.otc.data import Data
-from otc_dist.otc.samplers.interface import Extent, Held
+from otc_dist.otc.samplers.interface import Extent, MergedData
 from otc_dist.randomness import stream
 from otc_dist.steps.noise import Noise, sample_noise
 from otc_dist.steps.state import State
@@ -55,11 +55,11 @@ def pools(
     description: Description,
     frozen_agents: Sequence[FrozenAgent],
     wanted: int,
-    tell: Tell,
+    on_progress: OnProgress,
 ) -> list[Pool]:
     """Each agent's rows of the same joint transitions, up to `wanted` of B_0 and D_1 together."""
     seed, dataset = description.seed, description.dataset
-    tell(0.0, "deploying")
+    on_progress(0.0, "deploying")
     online = team.deploy(restored(folder.seed(seed), description), 1)
     joint = store.load_joint(dataset.name, dataset.transitions)
     offline, count = len(joint), len(joint) + description.deployment.transitions
@@ -70,7 +70,7 @@ def pools(
     rows, halves, weights = [], [], []
     strategies = {name: row for name in STRATEGIES if (row := STRATEGIES.section(name).row)}
     for index, frozen in enumerate(frozen_agents):
-        tell(0.1 * index / len(frozen_agents), "what samplers learn")
+        on_progress(0.1 * index / len(frozen_agents), "what samplers learn")
         before, newest = joint.of_agent(index), team.own_transitions(online, index)
         merged = frozen.rows(Transitions.concatenate([before, newest]))
         learned = {
@@ -84,12 +84,12 @@ def pools(
         weights.append({row: of_all[mine] for row, of_all in learned.items()})
     gaps = []  # of each agent, (N, a)
     for index, (frozen, mine) in enumerate(zip(frozen_agents, rows, strict=True)):
-        tell(0.1 + 0.3 * index / len(rows), "asking the policies what they would do")
+        on_progress(0.1 + 0.3 * index / len(rows), "asking the policies what they would do")
         gaps.append(frozen.gap(mine, stream(seed, "mechanism", "act", index)))
-    tell(0.4, "playing what they would do")
+    on_progress(0.4, "playing what they would do")
     everything = JointTransitions.concatenate([joint, JointTransitions.of_steps(online)])
     errors = successor_errors(description.env.id, everything[numbers], gaps)
-    tell(0.45, "embeddings and values")
+    on_progress(0.45, "embeddings and values")
     return [
         Pool(
             frozen.data(mine, halves[index]),
@@ -158,7 +158,7 @@ def _weights(
         return {**state, **selection.changed}, nothing
 
     with torch.no_grad():
-        held = Held(frozen.state, data, extent, frozen.engine, random)
+        held = MergedData(frozen.state, data, extent, frozen.engine, random)
         begun = {**frozen.state, **sampler.begin(held).changed}
         span = (0, description.deployment.updates)
         learned = train(begun, update, sample_block, rows.device, span, BLOCK, _ignore)

@@ -19,7 +19,7 @@ from otc_dist.otc.distances import create_distance
 from otc_dist.otc.prioritization import prioritize
 from otc_dist.otc.samplers import priorities
 from otc_dist.otc.samplers.correction import settings_of
-from otc_dist.otc.samplers.interface import Extent, Held
+from otc_dist.otc.samplers.interface import Extent, MergedData
 from otc_dist.randomness import stream
 from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.transitions import RowLayout
@@ -121,7 +121,7 @@ def _scores(description: Description, frozen: FrozenAgent, pool: Pool, name: str
 
     data, size = pool.data[name], pool.size
     extent = Extent(size, size, len(data.rows))
-    held = Held(frozen.state, data, extent, frozen.engine, random)
+    held = MergedData(frozen.state, data, extent, frozen.engine, random)
     with torch.no_grad():
         return create_distance(name, frozen.setting).scores(held, exclude_self=False).values[:size]
 

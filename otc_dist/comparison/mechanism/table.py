@@ -51,7 +51,7 @@ class Row:
     name: str
     mismatch: Estimate  # of |a_-i - pi_-i(s)|, B_1
     offline: Estimate  # the same of B_0's transitions alone
-    error: Estimate  # of the squared error of s'; NaN where no simulator tells it
+    error: Estimate  # of the squared error of s'; NaN where no simulator gives it
     offline_error: Estimate  # the same of B_0's transitions alone
     value: Estimate  # of V(s'); NaN without a Q
     online: Estimate  # the share of D_1's own transitions
@@ -83,13 +83,13 @@ class Mechanism:
         yield f"|a_-i - pi_-i(s)| under uniform sampling: {self.uniform_mismatch}"
         yield "ratios to uniform sampling (mismatch below 1: nearer to the online dynamics);"
         yield "error of s': squared, against the simulator's s' with the others acting as now;"
-        yield "D_1's own transitions match themselves, so those of B_0 are also told apart"
-        told = {}  # of what is known
+        yield "D_1's own transitions match themselves, so those of B_0 are also reported separately"
+        known = {}  # of what is known
         for measure, title in COLUMNS.items():
             estimates: list[Estimate] = [getattr(row, measure) for row in self.rows]
             if not all(math.isnan(estimate.mean) for estimate in estimates):
-                told[title] = [str(estimate) for estimate in estimates]
-        columns = {"selected by": [row.name for row in self.rows], **told}
+                known[title] = [str(estimate) for estimate in estimates]
+        columns = {"selected by": [row.name for row in self.rows], **known}
         yield from aligned([list(columns), *zip(*columns.values(), strict=True)], str.rjust)
 
 

@@ -200,7 +200,7 @@ class Trainer:
             for rows in torch.split(torch.randperm(len(returns)), settings.minibatch):
                 advantage = advantages[rows]
                 advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-                log_probability, entropy = model.judge(observations[rows], actions[rows])
+                log_probability, entropy = model.evaluate(observations[rows], actions[rows])
                 ratio = torch.exp(log_probability - old_log[rows])
                 clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip)
                 policy_loss = -torch.min(advantage * ratio, advantage * clipped).mean()

@@ -38,7 +38,7 @@ class ActorCritic(nn.Module):
         """Actions (n, A), not clipped, and their log pi(a|s) (n,)."""
 
     @abstractmethod
-    def judge(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+    def evaluate(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """log pi(a|s) of unclipped actions (n, A), (n,), and the mean entropy, a scalar."""
 
     def value(self, observations: Tensor) -> Tensor:
@@ -66,9 +66,9 @@ class Gaussian(ActorCritic):
     def sample(self, observations: Tensor) -> tuple[Tensor, Tensor]:
         mean = self.actor(observations)
         actions = mean + torch.exp(self.log_std) * torch.randn_like(mean)
-        return actions, self.judge(observations, actions)[0]
+        return actions, self.evaluate(observations, actions)[0]
 
-    def judge(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+    def evaluate(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         means: Tensor = self.actor(observations)
         z = (actions - means) * torch.exp(-self.log_std)
         half = 0.5 * math.log(2 * math.pi)
@@ -84,9 +84,9 @@ class Masked(ActorCritic):
 
     def sample(self, observations: Tensor) -> tuple[Tensor, Tensor]:
         actions = torch.multinomial(self._logs(observations).exp(), 1).float()
-        return actions, self.judge(observations, actions)[0]
+        return actions, self.evaluate(observations, actions)[0]
 
-    def judge(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+    def evaluate(self, observations: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         logs = self._logs(observations)
         entropy = -(logs.exp() * logs).sum(-1).mean()
         return logs.gather(1, actions.long()).squeeze(-1), entropy

@@ -40,7 +40,7 @@ class Task:
     snapshots: int = 10
     maximum_steps: int = 1_200_000
     evaluation_episodes: int = 50
-    # Share of the level at which training episodes, which lag behind, call for an evaluation.
+    # Share of the level at which training episodes, which lag, call for an evaluation.
     promising: float = 0.9
 
 
@@ -128,7 +128,7 @@ def train(name: str, seed: int) -> History:
                 f"{name} {trainer.steps:>8} steps {seconds:6.0f} s level {recent:8.1f}",
                 flush=True,
             )
-        # Episodes of training lag behind the policy: the evaluation decides.
+        # Episodes of training lag the policy: the evaluation decides.
         if recent >= task.promising * task.medium:
             exact = evaluate(name, history[-1][1], seed, "stopping").level
             print(f"{name} {trainer.steps:>8} steps evaluated {exact:8.1f}", flush=True)
@@ -138,7 +138,7 @@ def train(name: str, seed: int) -> History:
 
 
 def _up_to_medium(name: str, seed: int, history: History) -> History:
-    """Cut the history behind the one of its last policies that is nearest to the medium level.
+    """Cut the history after the one of its last policies that is nearest to the medium level.
 
     Policies differ by more between iterations than the level asks for, and the one that ended
     training was picked for a high score.

@@ -17,11 +17,11 @@ from otc_dist.otc.distances.interface import Distance, Matching
 from otc_dist.otc.prioritization import prioritize
 from otc_dist.otc.samplers.correction import CorrectionSection
 from otc_dist.otc.samplers.interface import (
-    Begun,
     Extent,
     Gathered,
-    Held,
     Indices,
+    MergedData,
+    Preparation,
     Sampler,
     Selection,
 )
@@ -62,7 +62,9 @@ class _Rank(Sampler):
         shape = (updates, self.settings.candidates)
         return {"candidates": random.integers(0, extent.size, shape)}
 
-    def begun(self, held: Held, similarity: float, guarded: float, **prepared: Tensor) -> Begun:
+    def begun(
+        self, held: MergedData, similarity: float, guarded: float, **prepared: Tensor
+    ) -> Preparation:
         """With alpha_k by Eq. 4 from 𝔻_k, and what else is `prepared`."""
         kept, settings = held.kept or self.kept, self.settings
         alpha = Alpha(kept["alpha"], kept["similarity"])
@@ -71,7 +73,7 @@ class _Rank(Sampler):
             if alpha.value == settings.alpha_bound > 0:
                 log.warning("sampling.alpha_bound binds: alpha is %g", alpha.value)
         value = torch.tensor(alpha.value, dtype=torch.float32, device=held.data.rows.device)
-        return Begun(
+        return Preparation(
             held.data._replace(prepared={"alpha": value, **prepared}),
             measured={"alpha": alpha.value, "similarity": similarity, "guarded": guarded},
             kept=_kept(alpha),
@@ -120,7 +122,7 @@ class RankMatched(_Rank):
         candidates = super().sample_indices(random, updates, extent)
         return {**candidates, "references": shuffled[:, :references]}
 
-    def begin(self, held: Held) -> Begun:
+    def begin(self, held: MergedData) -> Preparation:
         return self.begun(held, *self.distance.similarity(held))
 
     def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
@@ -149,7 +151,7 @@ class RankScored(_Rank):
 
     distance: Distance
 
-    def begin(self, held: Held) -> Begun:
+    def begin(self, held: MergedData) -> Preparation:
         found = self.distance.scores(held, exclude_self=self.settings.exclude_self)
         similarity = float(found.values.double().mean())
         return self.begun(held, similarity, found.guarded, scores=found.values)

@@ -11,11 +11,11 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Distance
 from otc_dist.otc.samplers.correction import CorrectionSection
 from otc_dist.otc.samplers.interface import (
-    Begun,
     Extent,
     Gathered,
-    Held,
     Indices,
+    MergedData,
+    Preparation,
     Sampler,
     Selection,
 )
@@ -45,7 +45,7 @@ class Weighted(Sampler):
     def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         return {"quantile": random.random((updates, self.batch_size))}
 
-    def begin(self, held: Held) -> Begun:
+    def begin(self, held: MergedData) -> Preparation:
         """Prepares the sums of the weights up to each row (size,), in float64."""
         extent = held.extent
         exclude = self.exclude_self or self.settings.exclude_self
@@ -55,7 +55,7 @@ class Weighted(Sampler):
         sums = weights.cumsum(0)
         accepted = float(sums[-1]) / extent.size
         measured = {"accepted": accepted, "guarded": found.guarded}
-        return Begun(held.data._replace(prepared={"sums": sums}), measured=measured)
+        return Preparation(held.data._replace(prepared={"sums": sums}), measured=measured)
 
     def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
         # Beyond [0, total) a row without weight could be met.

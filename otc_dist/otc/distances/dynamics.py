@@ -15,7 +15,7 @@ from otc_dist.description import DynamicsSection
 from otc_dist.otc.distances.change import matched_size
 from otc_dist.otc.distances.interface import Scores, Setting
 from otc_dist.otc.forward import FOLDS, Descent, Forward, Regression, apart
-from otc_dist.otc.samplers.interface import Held
+from otc_dist.otc.samplers.interface import MergedData
 from otc_dist.steps.engine import Engine
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
@@ -40,7 +40,7 @@ class DynamicsDistance:
         """(s, a_i) and the residual s' - s - f_B(s, a_i) of every transition."""
         return Forward(setting.description.dynamics, setting.layout, engine)
 
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+    def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         """No transition is judged by what was fitted to it, so `exclude_self` changes nothing."""
         extent = held.extent
         matched = matched_size(self.layout)
@@ -68,7 +68,9 @@ class DynamicsDistance:
             section.learning_rate,
         )
 
-    def _correction(self, held: Held, inputs: Tensor, residual: Tensor, fold: int) -> Tensor | None:
+    def _correction(
+        self, held: MergedData, inputs: Tensor, residual: Tensor, fold: int
+    ) -> Tensor | None:
         """c_k's parameters where its held-out error was least; None if that of no correction is.
 
         Args:

@@ -128,6 +128,6 @@ class Embedder:
 
 
 def _batch(rows: Tensor, layout: RowLayout) -> Batch:
-    """Transitions of packed rows; a discrete action is told as a one-hot vector."""
+    """Transitions of packed rows; a discrete action becomes a one-hot vector."""
     batch = unpack(rows, layout)
     return batch._replace(action=action_features(batch.action, layout.choices))

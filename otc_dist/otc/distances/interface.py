@@ -12,7 +12,7 @@ from torch import Tensor
 from otc_dist.algorithms.interface import Critic
 from otc_dist.description import Description
 from otc_dist.otc.data import Data
-from otc_dist.otc.samplers.interface import Held, Random
+from otc_dist.otc.samplers.interface import MergedData, Random
 from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
@@ -39,7 +39,7 @@ class Scores(NamedTuple):
 class Distance(Protocol):
     """A distance, as the sampler of one agent asks for it."""
 
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+    def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         """Scores of all of B_k, by what D_k holds.
 
         Args:
@@ -70,7 +70,7 @@ class Matching(Protocol):
         """
         ...
 
-    def similarity(self, held: Held) -> tuple[float, float]:
+    def similarity(self, held: MergedData) -> tuple[float, float]:
         """Expected transition similarity 𝔻_k (Eq. 4), and how many normalisers were guarded."""
         ...
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Ids, Scores
 from otc_dist.otc.samplers.correction import CorrectionSection
-from otc_dist.otc.samplers.interface import Held
+from otc_dist.otc.samplers.interface import MergedData
 from otc_dist.steps.noise import Noise, NoiseSpec
 from otc_dist.steps.state import State
 
@@ -41,17 +41,17 @@ class FeatureDistance(ABC):
         far = self.compare(candidates, references, ids)
         return far, far.new_zeros(())
 
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+    def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         numbers = torch.arange(held.extent.size, device=held.data.rows.device)
         return Scores(distances_to_newest(held, self.compare, numbers, exclude_self=exclude_self))
 
-    def similarity(self, held: Held) -> tuple[float, float]:
+    def similarity(self, held: MergedData) -> tuple[float, float]:
         """𝔻_k over a sample of B_k."""
         return sampled_similarity(held, self.compare, self.settings)
 
 
 def distances_to_newest(
-    held: Held, compare: Compare, numbers: Tensor, *, exclude_self: bool
+    held: MergedData, compare: Compare, numbers: Tensor, *, exclude_self: bool
 ) -> Tensor:
     """Distances (n,) of the rows `numbers` (n,) to all of D_k, by their features.
 
@@ -71,7 +71,7 @@ def distances_to_newest(
 
 
 def sampled_similarity(
-    held: Held, compare: Compare, settings: CorrectionSection
+    held: MergedData, compare: Compare, settings: CorrectionSection
 ) -> tuple[float, float]:
     """𝔻_k: the mean distance over a sample of B_k, matched against all of D_k.
 

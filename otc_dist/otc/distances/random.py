@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from otc_dist.otc.distances.interface import Scores, Setting
-from otc_dist.otc.samplers.interface import Held
+from otc_dist.otc.samplers.interface import MergedData
 
 
 @dataclass(frozen=True)
@@ -17,6 +17,6 @@ class RandomDistance:
     def create(cls, setting: Setting) -> "RandomDistance":
         return cls()
 
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+    def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         drawn = held.random("scores").random(held.extent.size, np.float32)
         return Scores(torch.from_numpy(drawn).to(held.data.rows.device))

@@ -2,7 +2,7 @@
 
 The others' actions are no input of it, so where they acted unusually for the data, s' is far from
 its mean. It needs no online data: what it selects is the usual, not the present. docs/method.md
-tells why that helps.
+says why that helps.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from otc_dist.otc.distances.interface import Scores, Setting
 from otc_dist.otc.forward import Forward
-from otc_dist.otc.samplers.interface import Held
+from otc_dist.otc.samplers.interface import MergedData
 from otc_dist.steps.engine import Engine
 
 
@@ -28,7 +28,7 @@ class TypicalDistance:
         """The square of what f_B misses s' by, of every transition."""
         return Misses(setting.description.dynamics, setting.layout, engine)
 
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+    def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         """No transition was fitted to itself, so `exclude_self` changes nothing."""
         return Scores(held.data.features[: held.extent.size, 0])
 

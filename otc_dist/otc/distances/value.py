@@ -10,7 +10,7 @@ from otc_dist.algorithms.interface import Batch, Critic, unpack
 from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Ids, Scores, Setting
 from otc_dist.otc.samplers.correction import CorrectionSection, NormaliserName, settings_of
-from otc_dist.otc.samplers.interface import Held
+from otc_dist.otc.samplers.interface import MergedData
 from otc_dist.steps.noise import Noise, NoiseSpec, sample_noise, to_tensors
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
@@ -55,7 +55,7 @@ class ValueDistance:
         )
         return next_state_distance(values, matched, self.settings.normaliser)
 
-    def scores(self, held: Held, *, exclude_self: bool) -> Scores:
+    def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         """By the critics as they are now, exactly over all of B_k and D_k."""
         extent, random = held.extent, held.random("similarity")
         rows = held.data.rows[: extent.size]
@@ -75,7 +75,7 @@ class ValueDistance:
         )
         return Scores(found, float(guarded))
 
-    def similarity(self, held: Held) -> tuple[float, float]:
+    def similarity(self, held: MergedData) -> tuple[float, float]:
         """𝔻_k over all of B_k and D_k."""
         found = self.scores(held, exclude_self=self.settings.exclude_self)
         return float(found.values.double().mean()), found.guarded

@@ -2,11 +2,11 @@
 
 Transitions are drawn in proportion to how near to the online data their (s, a) is: a network
 w(s, a) learns the ratio of the online to the offline density, and the priority of a transition is
-w^(1/T) over its mean in B_0. Unlike OTC it never looks at s', so it cannot tell two dynamics apart.
+w^(1/T) over its mean in B_0. Unlike OTC it never looks at s', so it cannot distinguish dynamics.
 
 Constants follow the authors' code (github.com/shlee94/Off2OnRL). Two things differ from it: w is
 made positive by a softplus, whose gradient never vanishes, where they use a ReLU; and D_k arrives
-at once, so the priority of new transitions is told by the share they shall have (`begin`).
+at once, so the priority of new transitions follows from the share they are to have (`begin`).
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from otc_dist.algorithms.interface import action_features, unpack
 from otc_dist.description.sampling import Arm, Cost, SamplingSection
 from otc_dist.otc.samplers import priorities
 from otc_dist.otc.samplers.interface import (
-    Begun,
     Extent,
     Gathered,
-    Held,
     Indices,
+    MergedData,
+    Preparation,
     Sampler,
     Selection,
 )
@@ -123,7 +123,7 @@ class Balanced(Sampler):
             "online": random.integers(extent.offline, extent.size, shape),
         }
 
-    def begin(self, held: Held) -> Begun:
+    def begin(self, held: MergedData) -> Preparation:
         """Give D_k its priority, and at the first deployment a fresh w and priority 1 to B_0.
 
         p_new = f / (1 - f) * (sum of the priorities of B_{k-1}) / |D_k|, so that D_k is the share
@@ -136,7 +136,7 @@ class Balanced(Sampler):
         each = ONLINE_SHARE / (1 - ONLINE_SHARE) * mine["sampler_sums"].sum()
         each = each / (extent.size - extent.newest)
         filled = priorities.fill(mine["sampler_priorities"], extent.newest, extent.size, each)
-        return Begun(held.data, mine | _named(filled))
+        return Preparation(held.data, mine | _named(filled))
 
     def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
         chosen = priorities.choose(*_priorities(state), sampled["priority"])

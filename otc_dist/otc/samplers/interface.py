@@ -38,7 +38,7 @@ class Extent(NamedTuple):
     size: int
 
 
-class Held(NamedTuple):
+class MergedData(NamedTuple):
     """What one agent holds when D_k has been merged, before the updates."""
 
     state: State  # the algorithm's
@@ -48,10 +48,10 @@ class Held(NamedTuple):
     random: Random  # keyed by this deployment as well
     kept: Mapping[str, float] = MappingProxyType(
         {}
-    )  # `Begun.kept` of the deployment before, if any
+    )  # `Preparation.kept` of the deployment before, if any
 
 
-class Begun(NamedTuple):
+class Preparation(NamedTuple):
     """What a sampler made of a deployment's data before the updates."""
 
     data: Data
@@ -106,7 +106,7 @@ class Sampler:
 
     @property
     def kept(self) -> Mapping[str, float]:
-        """What stands for `Begun.kept` before the first deployment."""
+        """What stands for `Preparation.kept` before the first deployment."""
         return {}
 
     def noise_spec(self) -> Mapping[str, NoiseSpec]:
@@ -117,9 +117,9 @@ class Sampler:
         """Row numbers, or what they are chosen by, for `updates` updates: each (updates, n)."""
         raise NotImplementedError
 
-    def begin(self, held: Held) -> Begun:
+    def begin(self, held: MergedData) -> Preparation:
         """Prepare for the updates after a deployment, whose data have just been merged."""
-        return Begun(held.data)
+        return Preparation(held.data)
 
     def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
         """What `select` looks at of the rows that one update drew, and of what `begin` prepared."""

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from otc_dist.otc.samplers.interface import (
-    Begun,
     Extent,
     Gathered,
-    Held,
     Indices,
+    MergedData,
+    Preparation,
     Sampler,
     Selection,
 )
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Around(Sampler):
+class SamplerWrapper(Sampler):
     """Another sampler, as it is. Those below change what they are named for."""
 
     inner: Sampler
@@ -49,7 +49,7 @@ class Around(Sampler):
     def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
         return self.inner.sample_indices(random, updates, extent)
 
-    def begin(self, held: Held) -> Begun:
+    def begin(self, held: MergedData) -> Preparation:
         return self.inner.begin(held)
 
     def gather(self, state: State, data: Data, sampled: Noise) -> Gathered:
@@ -60,7 +60,7 @@ class Around(Sampler):
 
 
 @dataclass(frozen=True)
-class WithOnline(Around):
+class WithOnline(SamplerWrapper):
     """`count` transitions of D_1 .. D_k in every batch, beside those of the inner sampler: for
     half of a batch, RLPD's symmetric sampling (Ball et al., ICML 2023).
     """
@@ -80,7 +80,7 @@ class WithOnline(Around):
 
 
 @dataclass(frozen=True)
-class ImitatingAll(Around):
+class ImitatingAll(SamplerWrapper):
     """What imitates the data is given a uniform sample of B_k instead of what is chosen."""
 
     batch_size: int

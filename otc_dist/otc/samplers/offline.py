@@ -8,7 +8,7 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.distances.interface import Features, Setting
 from otc_dist.otc.distances.typical import TypicalDistance
 from otc_dist.otc.samplers.correction import settings_of
-from otc_dist.otc.samplers.interface import Held, Sampler
+from otc_dist.otc.samplers.interface import MergedData, Sampler
 from otc_dist.otc.samplers.mixing import ImitatingAll
 from otc_dist.otc.samplers.uniform import Uniform
 
@@ -25,7 +25,7 @@ def offline_sampler(setting: Setting) -> Sampler:
     return ImitatingAll(best, batch)
 
 
-def prepared(sampler: Sampler, held: Held, typical: Features) -> Data:
+def prepared(sampler: Sampler, held: MergedData, typical: Features) -> Data:
     """B_0 as the typical rows of it are drawn.
 
     Args:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import otc_dist
-from otc_dist.replay.export.disk_space import require_room
+from otc_dist.replay.export.disk_space import require_space
 from otc_dist.replay.export.formats import FORMATS, Format, View
 from otc_dist.replay.export.parts import Part, parts_of
 from otc_dist.replay.export.trajectories import Trajectory
@@ -27,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         raise UserError("--export needs --out PATH, the folder to make")
     form = FORMATS[arguments.export]
-    form.opener()  # a library that is missing is told before anything is read
+    form.opener()  # a library that is missing is reported before anything is read
     kind, parts = parts_of(arguments)
     _check_replaceable(arguments.out)
     with claimed(arguments.out, force=arguments.force) as folder:
@@ -63,7 +63,7 @@ def _export(
     total, done, count = sum(part.transitions for part in parts), 0, 0
     with progress.shown(f"exporting to {arguments.out}", "transitions") as report:
         for batch in _batches(parts):
-            require_room(folder, form, batch)
+            require_space(folder, form, batch)
             for writer in writers:
                 writer.write(batch)
             count += len(batch)

@@ -1,6 +1,6 @@
 """CSV: `PATH/agent_0.csv`, ..., `PATH/joint.csv`, with one column for each entry of a vector.
 
-Numbers are written with as many digits as tell them from their neighbours: reading them as
+Numbers are written with as many digits as distinguish them from their neighbours: reading them as
 float32 (the state as float64) gives the same bits.
 """
 

@@ -1,8 +1,8 @@
-"""D4RL's HDF5 layout, one file an agent: `PATH/agent_0.hdf5`.
+"""D4RL's HDF5 layout, one file per agent: `PATH/agent_0.hdf5`.
 
     observations, actions, rewards, terminals, timeouts, next_observations
 
-Episodes stand one behind the other, so wherever one stops without a terminal, `timeouts` is set:
+Episodes stand one after the other, so wherever one stops without a terminal, `timeouts` is set:
 where the time limit ended it, and where the log, or what was asked for, did.
 """
 

@@ -1,11 +1,11 @@
 """LeRobot data sets, format v3.0: `PATH/agent_0/`, ..., `PATH/joint/`, each with
 
-    data/chunk-000/file-000.parquet           a row a step
+    data/chunk-000/file-000.parquetone row per step
     meta/episodes/chunk-000/file-000.parquet  a row a trajectory: its rows, and where it is from
     meta/tasks.parquet, meta/stats.json, meta/info.json
 
 LeRobot has no successors: s' is the feature `next.observation.state`. Vectors of the joint set
-are those of all agents, one behind the other. One frame is one step: `fps` is 1.
+are those of all agents, one after the other. One frame is one step: `fps` is 1.
 """
 
 import json

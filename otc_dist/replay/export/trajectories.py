@@ -70,7 +70,7 @@ def trajectories(log: OpenLog, selection: Selection, number: int) -> Iterator[Tr
         expected = int(steps[-1]) + 1
         columns = _columns(log, rows)
         ends = rows["terminated"] | rows["truncated"]
-        # (row behind the trajectory's last, copy): of gaps, all copies' trajectories end.
+        # (row after the trajectory's last, copy): of gaps, all copies' trajectories end.
         cuts = sorted(
             {(int(gap), copy) for gap in gaps for copy in copies}
             | {(int(row) + 1, copy) for copy in copies for row in np.flatnonzero(ends[:, copy])}

@@ -110,7 +110,7 @@ function across(width) {
   return { begin, end, x, within };
 }
 
-// Every second episode is shaded, as far as they can be told apart.
+// Every second episode is shaded, as far as they can be distinguished.
 function shade(context, style, width, top, bottom, dark = 0.45) {
   const { begin, end, within } = across(width);
   const [from, to] = [episodeAt(begin), episodeAt(end)];

@@ -20,7 +20,7 @@ _CHAIN = f"{_TABLE} input"
 
 
 @dataclass(frozen=True)
-class Arena:
+class Sandbox:
     """What can be broken here. Each is empty, or says why not.
 
     disk: a file system of DISK_BYTES, at `small`.
@@ -35,16 +35,16 @@ class Arena:
         """Every packet is lost from now on."""
         self._rule("drop")
 
-    def lose(self, percent: int) -> None:
+    def drop_packets(self, percent: int) -> None:
         """So many packets are lost, at random, from now on."""
         self._rule(f"numgen random mod 100 < {percent} drop")
 
-    def mend(self) -> None:
+    def restore(self) -> None:
         """No packet is lost any more."""
         _nft(f"flush chain {_CHAIN}")
 
     def _rule(self, rule: str) -> None:
-        self.mend()
+        self.restore()
         _nft(f"add rule {_CHAIN} {rule}")
 
 
@@ -60,12 +60,12 @@ def enter() -> None:
 
 
 @contextmanager
-def prepared(out: Path) -> Iterator[Arena]:
-    """The arena, its small disk mounted in `out`."""
+def prepared(out: Path) -> Iterator[Sandbox]:
+    """The sandbox, its small disk mounted in `out`."""
     small = out / "small-disk"
     if _INSIDE not in os.environ:
         why = "namespaces are not permitted here"
-        yield Arena(small, why, why)
+        yield Sandbox(small, why, why)
         return
     small.mkdir(exist_ok=True)
     disk = _fails("mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(small))
@@ -77,7 +77,7 @@ def prepared(out: Path) -> Iterator[Arena]:
             "nft", f"add chain {_CHAIN} {{ type filter hook input priority 0; }}"
         )
     try:
-        yield Arena(small, disk, net)
+        yield Sandbox(small, disk, net)
     finally:
         if not disk:
             subprocess.run(["umount", "--lazy", str(small)], check=False)

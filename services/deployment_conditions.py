@@ -29,7 +29,7 @@ class _Evaluated:
     mean_return: float
 
 
-class Gate:
+class DeploymentConditions:
     """Decides whether deployment k takes place, by the run folder alone, whenever it is asked."""
 
     def __init__(self, run: Run) -> None:
@@ -66,7 +66,7 @@ class Gate:
                 f" ones in step {step.step}: use deployment.keep = 'last'"
             )
 
-    def closed(self, k: int) -> bool:
+    def below_floor(self, k: int) -> bool:
         """Whether deployment k does not take place, since the one before measured too little."""
         floor = self._settings.floor
         if k == 1 or floor is None or (found := self.measured(k - 1)) is None:
@@ -94,7 +94,7 @@ class Gate:
         """
         approval, waiting = self._folder.approval(k), self._folder.waiting
         before = self.measured(k - 1) if k > 1 else None
-        told = {
+        content = {
             "waits_for": f"a person's approval of deployment {k}, by policy {k - 1}",
             "deployment": k,
             "policy": k - 1,
@@ -103,7 +103,7 @@ class Gate:
             "greedy_return": self._greedy_return(k - 1),
         }
         try:  # a signal may end this at any moment: nobody waits any more then
-            durable.write(waiting, (json.dumps(told, indent=1) + "\n").encode())
+            durable.write(waiting, (json.dumps(content, indent=1) + "\n").encode())
             log.info("deployment %d waits for a person: %s", k, approval)
             while not approval.exists():
                 time.sleep(_LOOK)

@@ -15,7 +15,7 @@ from .gathering import Fetch
 from .process import Run
 
 
-class Judge:
+class Recommender:
     """Measures every deployment once: as it is taken, or from the log where it is missed.
 
     Args:
@@ -64,7 +64,7 @@ class Judge:
         keep = self._settings.keep or "last"
         measured = self._up_to(deployments) if self.keeps_best else [None] * deployments
         found = recommendation.recommended(keep, measured, tuned)
-        told = {
+        content = {
             "agent": self._name,
             "checkpoint": self._folder.checkpoint(self._name, found.policy).name,
             "policy": found.policy,
@@ -73,7 +73,7 @@ class Judge:
         }
         path = self._folder.recommended(self._name)
         try:
-            durable.write(path, (json.dumps(told, indent=1) + "\n").encode())
+            durable.write(path, (json.dumps(content, indent=1) + "\n").encode())
         except OSError as error:
             raise UserError(f"cannot write {path}: {error.strerror}") from None
 
