@@ -43,7 +43,7 @@ class Fields:
         Args:
             field: its name, as "infos.legals".
             choices: sizes by agent. Stacked vectors are as wide as the widest of them.
-            filled: whether what is behind a narrower one must be zeros, as OG-MARL fills it up.
+            filled: whether what follows after a narrower one must be zeros, as OG-MARL fills it up.
 
         Raises:
             UserError: there is no such array, it has other agents or sizes, or bad values.
@@ -55,8 +55,8 @@ class Fields:
                 break
         else:
             wanted = " or ".join(str(max(sizes) if stacked else list(sizes)) for sizes in choices)
-            told = widths[0] if stacked else widths
-            raise UserError(f"{self.source}: {field} are {told} numbers wide, not {wanted}")
+            given = widths[0] if stacked else widths
+            raise UserError(f"{self.source}: {field} are {given} numbers wide, not {wanted}")
         made = []
         for agent, array, size in zip(self._agents, found, sizes, strict=True):
             if filled and array[:, size:].any():

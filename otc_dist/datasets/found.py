@@ -12,7 +12,7 @@ from otc_dist.transitions import Bool, Float64
 
 @dataclass(frozen=True)
 class Found:
-    """A team's data, and what their card shall say of them."""
+    """A team's data, and what their card is to say of them."""
 
     team: TeamSpec
     data: JointTransitions

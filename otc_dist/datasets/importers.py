@@ -86,7 +86,7 @@ def import_file(source: Path, level: str, env_id: str = "") -> DatasetCard:
     Args:
         source: what the `read` of one of the formats' modules takes.
         level: the name after the slash; not one of those that we make.
-        env_id: whose agents' data they are; "": what the source says or tells by its name.
+        env_id: whose agents' data they are; "": what the source or its name says.
 
     Raises:
         UserError: as that `read`; nothing is left of it, a name that is taken; a full disk.

@@ -64,7 +64,7 @@ def read(path: Path, env_id: str) -> Found:
             raise UserError(f"{vault.folder}: {agent.name}: {problem}")
     actions, said = clipped(data.actions, team)
     data, notes = replace(data, actions=actions), notes + said + _left(fields, vault.names)
-    told = f"recorded in {named}" if named else f"the vault names no environment: {team.env_id}"
+    origin = f"recorded in {named}" if named else f"the vault names no environment: {team.env_id}"
     recipe = {"vault": "/".join(vault.folder.resolve().parts[-2:]), "sha256": vault.sha256()}
     made = Provenance(
         f"imported from the vault {recipe['vault']}",
@@ -72,7 +72,7 @@ def read(path: Path, env_id: str) -> Found:
         versions("tensorstore"),
         returns,
         incomplete,
-        (told, *notes),
+        (origin, *notes),
     )
     return Found(team, data, made)
 
@@ -124,7 +124,7 @@ def _rows(fields: Fields, team: TeamSpec) -> tuple[JointTransitions, Bool, Bool,
 def _observations(
     fields: Fields, team: TeamSpec, which: str
 ) -> tuple[tuple[Float32, ...], tuple[str, ...]]:
-    """N x (T, observation_size), with the masks of discrete actions behind them; notes.
+    """N x (T, observation_size), with the masks of discrete actions after them; notes.
 
     Args:
         which: "" for what an agent saw before the step, "next_" for what it saw after it.

@@ -157,8 +157,8 @@ def _metadata(folder: Path) -> Mapping[str, Any]:
     version = found.get("version")
     if isinstance(version, int | float) and FLASHBAX_MAJOR <= version < FLASHBAX_MAJOR + 1:
         return found
-    told = repr(version)[:20]
-    raise UserError(f"{folder} is a vault of version {told}; version {FLASHBAX_MAJOR}.x is read")
+    shown = repr(version)[:20]
+    raise UserError(f"{folder} is a vault of version {shown}; version {FLASHBAX_MAJOR}.x is read")
 
 
 def _leaves(tree: object, folder: Path) -> Iterator[str]:

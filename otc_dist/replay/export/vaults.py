@@ -7,7 +7,7 @@
     infos.exploring, infos.cut, infos.log, infos.deployment, infos.copy, infos.trajectory,
     infos.episode_seed, infos.step    what else the row is
 
-Trajectories stand one behind the other, so `truncations` is set wherever one stops without an end,
+Trajectories stand one after the other, so `truncations` is set wherever one stops without an end,
 and `infos.cut` with it. Vectors that are narrower than another agent's are filled up with zeros.
 """
 
