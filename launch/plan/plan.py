@@ -143,7 +143,8 @@ class Plan:
             yield "             one deployment more, of the last tuned policy"
         yield from (f"             {line}" for line in _conditions(d.deployment))
         yield f"             {d.evaluation.episodes} greedy episodes after each tuning"
-        yield f"engine       {d.engine.name}"
+        own = ", with matrix products of our own" if d.engine.products == "own" else ""
+        yield f"engine       {d.engine.name}{own}"
         yield f"disk         about {self.disk_bytes / 1e6:,.0f} MB at most"
         if self.preparations:
             yield "first"

@@ -8,6 +8,7 @@ import time
 from otc_dist.datasets.names import DatasetName
 from otc_dist.description import Description
 from otc_dist.description.algorithms import check_fit
+from otc_dist.description.sections import EngineSection
 from otc_dist.envs import registry
 from otc_dist.terminal.errors import UserError
 
@@ -16,18 +17,21 @@ from ..supervise.standstill import Standstill
 from ..supervise.supervisor import die_with_parent
 
 _LOOK = 0.5  # seconds between two looks at the process that was asked
+_LONG = 10  # looks without an answer, after which that is said
 
 # In a process of its own: importing torch takes seconds and memory that the launcher never needs.
 _ASK_ENGINE = """
 import sys
 from otc_dist.steps import engine
 from otc_dist.terminal.errors import run_main
-run_main(lambda argv: print(engine.resolve(argv[0], int(argv[1]))) or 0)
+from otc_dist.description.sections import EngineSection
+asked = lambda text: EngineSection.model_validate_json(text)
+run_main(lambda argv: print(engine.resolve(asked(argv[0]), int(argv[1])).model_dump_json()) or 0)
 """
 
 
 def resolve(description: Description, data_here: bool = True) -> Description:
-    """A copy with dataset.transitions, M, L and what is kept (deployment.*), and engine.name fixed.
+    """A copy with dataset.transitions, M, L and what is kept (deployment.*), and engine.* fixed.
 
     M is rounded up to a multiple of env.copies, since every copy contributes equally.
 
@@ -59,7 +63,10 @@ def resolve(description: Description, data_here: bool = True) -> Description:
         f"deployment.transitions={deployed}",
         f"deployment.updates={tuning_updates(description)}",
     )
-    return settled(fixed).with_assignments(f"engine.name={_engine(fixed)}")
+    engine = _engine(fixed)
+    return settled(fixed).with_assignments(
+        f"engine.name={engine.name}", f"engine.products={engine.products}"
+    )
 
 
 def _usual_size(name: str, data_here: bool) -> int:
@@ -85,12 +92,13 @@ def total_updates(description: Description) -> int:
     )
 
 
-def _engine(description: Description) -> str:
-    name = description.engine.name
-    if name == "eager":  # runs everywhere
-        return name
+def _engine(description: Description) -> EngineSection:
+    asked_for = description.engine
+    if asked_for.name == "eager":  # runs everywhere
+        return EngineSection(name="eager", products="torch")
+    arguments = (asked_for.model_dump_json(), str(total_updates(description)))
     with subprocess.Popen(
-        [sys.executable, "-c", _ASK_ENGINE, name, str(total_updates(description))],
+        [sys.executable, "-c", _ASK_ENGINE, *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -105,16 +113,21 @@ def _engine(description: Description) -> str:
     if asked.returncode != 0:
         lines = errors.strip().splitlines() or ["no output"]
         raise UserError(f"cannot choose an engine: {lines[-1].removeprefix('error: ')}")
-    return chosen.strip()
+    if errors.strip():  # what this torch lacks
+        print(errors.strip(), file=sys.stderr)
+    return EngineSection.model_validate_json(chosen)
 
 
 def _heard(asked: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
     """What a process printed to its end. Raises UserError if it stands still before."""
-    standstill = Standstill(asked.pid, patience)
+    standstill, looks = Standstill(asked.pid, patience), 0
     while True:
         try:
             return asked.communicate(timeout=_LOOK)
         except subprocess.TimeoutExpired:
+            looks += 1
+            if looks == _LONG:
+                print("choosing an engine; with each torch the first time takes half a minute")
             if why := standstill.look(time.monotonic()):
                 raise UserError(
                     f"cannot choose an engine: the process that was asked {why}; try again, or"

@@ -8,6 +8,7 @@ from otc_dist.description.section import Section
 from otc_dist.names import DatasetId, EnvironmentId
 
 EngineName = Literal["auto", "compiled", "cuda-graph", "eager"]
+ProductsName = Literal["auto", "own", "torch"]
 
 
 class EnvSection(Section):
@@ -152,6 +153,12 @@ class EngineSection(Section):
     """What runs the update steps (otc_dist/steps/engine.py)."""
 
     name: EngineName = Field(default="auto", description="auto resolves before the run starts")
+    products: ProductsName = Field(
+        default="auto",
+        description="who multiplies matrices in compiled code: own, a kernel that uses the widest"
+        " vectors, by parts of torch that it does not promise to keep; or torch. auto resolves"
+        " before the run starts: own where that works",
+    )
 
 
 class BusSection(Section):

@@ -32,7 +32,7 @@ from otc_dist.otc.samplers.interface import MergedData, Preparation, Sampler
 from otc_dist.otc.samplers.offline import offline_sampler, prepared
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec, Task
-from otc_dist.steps.engine import Engine, resolve
+from otc_dist.steps.engine import Engine
 from otc_dist.steps.noise import to_arrays, to_tensors
 from otc_dist.steps.state import State
 from otc_dist.transitions import Float32, RowLayout, Transitions
@@ -76,7 +76,7 @@ class Learner:
         self._offline_updates = 0
         deployments = description.deployment
         updates = description.offline.updates + deployments.count * deployments.updates
-        self._engine = Engine(resolve(description.engine.name, updates))
+        self._engine = Engine.of(description.engine, updates)
 
         algorithm = description.algorithm
         self._layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)

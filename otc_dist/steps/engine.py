@@ -6,17 +6,16 @@ description.
 """
 
 import os
-import re
 import shutil
-from collections.abc import Callable, Hashable, Sequence
-from pathlib import Path
+from collections.abc import Callable, Hashable
 from types import FunctionType, MethodType
 from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor
 
-from otc_dist.description import EngineName
+from otc_dist.description.sections import EngineName, EngineSection, ProductsName
+from otc_dist.steps import torch_internals
 from otc_dist.steps.noise import Noise
 from otc_dist.steps.state import P, State, T
 from otc_dist.system.cache import compiled_root
@@ -24,18 +23,21 @@ from otc_dist.terminal.errors import UserError
 
 Update = Callable[[State, Noise], tuple[State, Tensor]]
 Resolved = Literal["compiled", "cuda-graph", "eager"]
-VARIANTS = 256  # of one function in a process: agents differ in sizes, arms in samplers
-# torch.cond's branches are part of the cache's key, but torch has not declared it cacheable.
-CACHEABLE = {"torch.ops.higher_order.cond": torch.__version__}
+Products = Literal["own", "torch"]
 COMPILE_WORTHWHILE = 10_000  # updates: compiling takes about a minute, an update saves 5 ms
 
 
-def resolve(name: EngineName, updates: int) -> Resolved:
-    """Turn `auto` into the engine for this machine and this many updates in all.
+def resolve(asked: EngineSection, updates: int) -> EngineSection:
+    """`asked` without `auto`: for this machine, its torch and this many updates in all.
 
     Raises:
-        UserError: an engine that this machine cannot run was asked for by name.
+        UserError: what this machine or its torch cannot run was asked for by name.
     """
+    name = _named(asked.name, updates)
+    return EngineSection(name=name, products=_multiplied(asked.products, name))
+
+
+def _named(name: EngineName, updates: int) -> Resolved:
     cuda = torch.cuda.is_available()
     compiler = _compiler()
     if name == "cuda-graph" and not cuda:
@@ -49,9 +51,31 @@ def resolve(name: EngineName, updates: int) -> Resolved:
     return "compiled" if compiler and updates >= COMPILE_WORTHWHILE else "eager"
 
 
+def _multiplied(products: ProductsName, name: Resolved) -> Products:
+    """Who multiplies matrices under an engine: only compiled code of the CPU has ours."""
+    compiler = _compiler()
+    if name != "compiled" or products == "torch" or not compiler:
+        return "torch"
+    _keep_compiled()
+    if torch_internals.multiplies(compiler):
+        return "own"
+    if products == "own":
+        raise UserError(
+            f"engine.products = 'own' does not work here, with torch {torch.__version__} on this"
+            " processor: a run that has it cannot go on here; a new one may use 'torch'"
+        )
+    return "torch"
+
+
 def _compiler() -> str | None:
     """The path of a C++ compiler."""
     return shutil.which("g++") or shutil.which("clang++")
+
+
+def _keep_compiled() -> None:
+    """Compiled code outlives the process: other learners and later runs load it."""
+    if "TORCHINDUCTOR_CACHE_DIR" not in os.environ:
+        os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(compiled_root())
 
 
 class Engine:
@@ -61,14 +85,19 @@ class Engine:
     gathers, into one launch where that pays (a CUDA graph).
     """
 
-    def __init__(self, name: Resolved) -> None:
-        self.name = name
+    def __init__(self, name: Resolved, products: Products = "torch") -> None:
+        self.name, self.products = name, products
         self.device = torch.device("cuda" if name == "cuda-graph" else "cpu")
         # Sums split over threads round differently, and a brain's networks are too small to gain.
         torch.set_num_threads(1)
-        # Compiled code outlives the process: other learners and later runs load it.
-        if name != "eager" and "TORCHINDUCTOR_CACHE_DIR" not in os.environ:
-            os.environ["TORCHINDUCTOR_CACHE_DIR"] = str(compiled_root())
+        if name != "eager":
+            _keep_compiled()
+
+    @classmethod
+    def of(cls, asked: EngineSection, updates: int) -> "Engine":
+        """The engine that `resolve` gives. Raises UserError, as it does."""
+        found = resolve(asked, updates)
+        return cls(cast(Resolved, found.name), cast(Products, found.products))
 
     def fuse(self, function: Callable[P, T]) -> Callable[P, T]:
         """`function` with the same results up to rounding; argument shapes must not vary.
@@ -78,28 +107,17 @@ class Engine:
         if self.name == "eager":
             return torch.no_grad()(function)
         anatomy = _FunctionIdentity(function)
-        key = (self.name, *anatomy.identity)
+        key = (self.name, self.products, *anatomy.identity)
         if key not in _fused:
             _fused[key] = self._compile(anatomy)
         return cast(Callable[P, T], _fused[key])
 
     def _compile(self, anatomy: "_FunctionIdentity") -> Callable[..., Any]:
-        # The default of 8 ends a process that holds more brains than that with an error. Not set
-        # where nothing is compiled: torch's compiler takes a second to import, another to clear up.
-        torch._dynamo.config.recompile_limit = VARIANTS
-        options: dict[str, Any] = {
-            "unsafe_marked_cacheable_functions": CACHEABLE,
-            "guard_filter_fn": anatomy.guards,
-        }
-        if self.device.type == "cpu":
-            options["cpp_wrapper"] = True
-            _keep_headers_private()
-            if (compiler := _compiler()) is not None:
-                from otc_dist.steps import (
-                    matrix_products,  # torch's compiler takes a second to import
-                )
-
-                options |= matrix_products.options(compiler)
+        options = torch_internals.options(
+            anatomy.arguments,
+            on_cpu=self.device.type == "cpu",
+            compiler=_compiler() if self.products == "own" else None,
+        )
         return torch.no_grad()(
             torch.compile(anatomy.copy(), fullgraph=True, dynamic=False, options=options)
         )
@@ -107,17 +125,6 @@ class Engine:
     def record(self, update: Update) -> Update:
         """`update` itself, or on a GPU its recording, replayed at every later call."""
         return _CudaGraph(update) if self.name == "cuda-graph" else update
-
-
-def _keep_headers_private() -> None:
-    """torch keeps the headers that it compiles first in a folder of a known name under /tmp, which
-    anybody may make before us: they go where the rest of the compiled code is.
-    """
-    from torch._inductor import codecache  # it takes a second to import
-
-    headers = Path(os.environ["TORCHINDUCTOR_CACHE_DIR"], "precompiled_headers")
-    codecache._HEADER_DIR = str(headers)
-    codecache._HEADER_LOCK_DIR = str(headers / "locks")
 
 
 # Compiled functions by what makes them. Torch itself would compare all that a function looks at
@@ -130,6 +137,7 @@ class _FunctionIdentity:
 
     Attributes:
         identity: equal for functions that do the same. The values must be hashable.
+        arguments: the names of its arguments.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -141,7 +149,7 @@ class _FunctionIdentity:
         held = (cell.cell_contents for cell in function.__closure__ or ())
         bound = (*self._owner, *(function.__defaults__ or ()), *held)
         self.identity: tuple[Hashable, ...] = (function.__module__, code, *bound)
-        self._arguments = set(code.co_varnames[len(self._owner) : code.co_argcount])
+        self.arguments = frozenset(code.co_varnames[len(self._owner) : code.co_argcount])
 
     def copy(self) -> Callable[..., Any]:
         """The same function, whose code torch has never seen."""
@@ -150,11 +158,6 @@ class _FunctionIdentity:
             plain.__code__.replace(), plain.__globals__, None, plain.__defaults__, plain.__closure__
         )
         return MethodType(copy, *self._owner) if self._owner else copy
-
-    def guards(self, guards: Sequence[Any]) -> list[bool]:
-        """Which of torch's conditions on compiled code to check: those on the arguments."""
-        roots = [re.match(r"\w*", guard.name) for guard in guards]
-        return [root is not None and root[0] in {"", *self._arguments} for root in roots]
 
 
 class _CudaGraph:

@@ -65,7 +65,7 @@ def options(compiler: str) -> dict[str, Any]:
     Args:
         compiler: a C++ compiler's path.
     """
-    if not _loaded(compiler):
+    if loaded(compiler) is None:
         return {}
     aot_inductor.custom_ops_to_c_shims = _Shims()
     return {"post_grad_custom_pre_pass": Products()}
@@ -85,10 +85,14 @@ class _Shims(dict[Any, list[str]]):
 
 
 @functools.cache
-def _loaded(compiler: str) -> bool:
-    """Whether compiled code can call the kernel from now on; one line is logged if not."""
+def loaded(compiler: str) -> Path | None:
+    """The library whose kernel compiled code can call from now on; one line is logged if it cannot.
+
+    Args:
+        compiler: a C++ compiler's path.
+    """
     try:
-        library = ctypes.CDLL(str(_built(compiler)), mode=os.RTLD_GLOBAL)
+        library = ctypes.CDLL(str(built := _built(compiler)), mode=os.RTLD_GLOBAL)
     except (OSError, subprocess.CalledProcessError) as error:
         said = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
         log.warning(
@@ -97,21 +101,22 @@ def _loaded(compiler: str) -> bool:
             torch.__version__,
             said.strip().partition("\n")[0],
         )
-        return False
+        return None
     library.otc_dist_can_multiply.restype = ctypes.c_bool
-    able: bool = library.otc_dist_can_multiply()
-    if not able:
+    if not library.otc_dist_can_multiply():
         log.info("matrix products are left to torch: this processor lacks the kernel")
-    return able
+        return None
+    return built
 
 
 def _built(compiler: str) -> Path:
-    """The library, compiled at most once for a source, a torch and a compiler.
+    """The library, compiled at most once for what it is made of, a torch and a compiler.
 
     Raises:
         OSError, subprocess.CalledProcessError: it cannot be made.
     """
-    made_of = f"{SOURCE.read_text()}\0{torch.__version__}\0{compiler}"
+    sources = SOURCE.read_text() + Path(__file__).read_text()
+    made_of = f"{sources}\0{torch.__version__}\0{compiler}"
     library = compiled_root() / f"product-{hashlib.blake2b(made_of.encode()).hexdigest()[:16]}.so"
     if not library.exists():
         with TemporaryDirectory(dir=library.parent) as folder:

@@ -116,7 +116,7 @@ def assert_engines_agree(
     initial = algorithm.initial_state(random, inputs[0])
     metrics = []
     # Compiled first: what an eager update would prepare may not compile.
-    for engine in (Engine("compiled"), Engine("eager")):
+    for engine in (Engine("compiled", "own"), Engine("eager")):
         state: State = {name: torch.from_numpy(array) for name, array in initial.items()}
         update, history = engine.fuse(algorithm.update), []
         for index, batch in enumerate(inputs):

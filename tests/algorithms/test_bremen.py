@@ -309,7 +309,8 @@ def test_compiled_improvements_agree_with_eager(monkeypatch: pytest.MonkeyPatch)
     bremen = make(4, 2, (8, 8), task=Endless())
     state, batch = start(bremen, np.random.default_rng(12))
     found = []
-    for engine, dtype in ((Engine("compiled"), torch.float32), (Engine("eager"), torch.float64)):
+    single = Engine("compiled", "own")
+    for engine, dtype in ((single, torch.float32), (Engine("eager"), torch.float64)):
         improving = {n: x if "updates" in n else x.to(dtype) for n, x in state.items()}
         # A learner's batch is views of packed rows.
         packed = torch.cat([x.reshape(BATCH, -1).to(dtype) for x in batch], 1)

@@ -179,9 +179,9 @@ def test_auto_engine_is_resolved_without_torch_in_the_launcher() -> None:
         "import sys; from otc_dist.launch.plan import descriptions\n"
         "from otc_dist.launch.run import resolve, command\n"
         "d = resolve.resolve(descriptions.load('3agent_hopper', [], None, False))\n"
-        "print(d.engine.name, 'torch' in sys.modules)"
+        "print(d.engine.name, d.engine.products, 'torch' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    engine, imported = done.stdout.split()
-    assert engine in {"compiled", "cuda-graph", "eager"}
+    engine, products, imported = done.stdout.split()
+    assert engine in {"compiled", "cuda-graph", "eager"} and products in {"own", "torch"}
     assert imported == "False"

@@ -9,10 +9,11 @@ import pytest
 import torch
 from torch._dynamo.utils import counters
 
+from otc_dist.description.sections import EngineName, EngineSection, ProductsName
 from otc_dist.learner.learner import Learner
 from otc_dist.learner.trainer import Phase
-from otc_dist.steps import engine
-from otc_dist.steps.engine import Engine, resolve
+from otc_dist.steps import engine, torch_internals
+from otc_dist.steps.engine import Engine
 from otc_dist.steps.noise import to_tensors
 from otc_dist.system.cache import compiled_root
 from otc_dist.terminal.errors import UserError
@@ -24,41 +25,60 @@ CPU = torch.device("cpu")
 
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    def pretend(*, compiler: str | None, cuda: bool) -> None:
+    def pretend(*, compiler: str | None, cuda: bool, own: bool = True) -> None:
         monkeypatch.setattr(
             "shutil.which", lambda name: f"/usr/bin/{name}" if name == compiler else None
         )
         monkeypatch.setattr("torch.cuda.is_available", lambda: cuda)
+        monkeypatch.setattr(torch_internals, "multiplies", lambda compiler: own)
 
     return pretend
+
+
+def resolve(name: EngineName, updates: int, products: ProductsName = "auto") -> tuple[str, str]:
+    found = engine.resolve(EngineSection(name=name, products=products), updates)
+    return found.name, found.products
 
 
 @pytest.mark.parametrize("compiler", ["g++", "clang++"])
 def test_auto_compiles_where_it_pays(machine: Callable[..., None], compiler: str) -> None:
     machine(compiler=compiler, cuda=False)
-    assert resolve("auto", engine.COMPILE_WORTHWHILE) == "compiled"
-    assert resolve("auto", engine.COMPILE_WORTHWHILE - 1) == "eager"
-    assert resolve("compiled", 1) == "compiled"
-    assert resolve("eager", 10**6) == "eager"
+    assert resolve("auto", engine.COMPILE_WORTHWHILE) == ("compiled", "own")
+    assert resolve("auto", engine.COMPILE_WORTHWHILE - 1) == ("eager", "torch")
+    assert resolve("compiled", 1) == ("compiled", "own")
+    assert resolve("eager", 10**6) == ("eager", "torch")
 
 
 def test_auto_without_a_compiler_is_eager(machine: Callable[..., None]) -> None:
     machine(compiler=None, cuda=False)
-    assert resolve("auto", 10**6) == "eager"
+    assert resolve("auto", 10**6) == ("eager", "torch")
     with pytest.raises(UserError, match="needs g\\+\\+ or clang\\+\\+"):
         resolve("compiled", 10**6)
 
 
 def test_auto_with_a_gpu_is_a_cuda_graph(machine: Callable[..., None]) -> None:
     machine(compiler=None, cuda=True)
-    assert resolve("auto", 1) == "cuda-graph"
-    assert resolve("eager", 1) == "eager"
+    assert resolve("auto", 1) == ("cuda-graph", "torch")
+    assert resolve("eager", 1) == ("eager", "torch")
 
 
 def test_a_cuda_graph_without_a_gpu_is_refused(machine: Callable[..., None]) -> None:
     machine(compiler="g++", cuda=False)
     with pytest.raises(UserError, match="needs a CUDA device"):
         resolve("cuda-graph", 1)
+
+
+def test_a_run_with_products_of_our_own_goes_on_with_them_or_not_at_all(
+    machine: Callable[..., None],
+) -> None:
+    machine(compiler="g++", cuda=False)
+    assert resolve("compiled", 1, "own") == ("compiled", "own")
+    assert resolve("compiled", 1, "torch") == ("compiled", "torch")
+    machine(compiler="g++", cuda=False, own=False)
+    assert resolve("compiled", 1) == ("compiled", "torch")
+    with pytest.raises(UserError, match=r"engine\.products = 'own' does not work here") as refused:
+        resolve("compiled", 1, "own")
+    assert "\n" not in str(refused.value)
 
 
 def test_results_do_not_depend_on_how_many_threads_there_were() -> None:

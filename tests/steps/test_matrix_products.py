@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from otc_dist.steps import matrix_products
+from otc_dist.steps import matrix_products, torch_internals
 from otc_dist.steps.engine import Engine
 
 SIDES = {
@@ -62,7 +62,7 @@ def test_products_of_single_precision_are_ours(dtype: torch.dtype, count: int) -
 @pytest.mark.parametrize("name", SIDES)
 def test_compiled_products_equal_eager_ones(name: str) -> None:
     multiply, (left, right) = function(name), sides(name)
-    compiled = Engine("compiled").fuse(multiply)
+    compiled = Engine("compiled", "own").fuse(multiply)
     torch.testing.assert_close(compiled(left, right), multiply(left, right), rtol=1e-5, atol=1e-4)
 
 
@@ -74,9 +74,11 @@ def test_a_kernel_that_does_not_compile_is_one_line(
     broken.write_text("#error no such kernel\n")
     monkeypatch.setattr(matrix_products, "SOURCE", broken)
     monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path))
-    matrix_products._loaded.cache_clear()
-    assert matrix_products.options("g++") == {}
-    matrix_products._loaded.cache_clear()
+    matrix_products.loaded.cache_clear()
+    torch_internals.multiplies.cache_clear()
+    assert not torch_internals.multiplies("g++")
+    matrix_products.loaded.cache_clear()
+    torch_internals.multiplies.cache_clear()
     (record,) = caplog.records
     assert record.getMessage().startswith("matrix products are left to torch: product.cpp does not")
     assert "no such kernel" in record.getMessage() and "\n" not in record.getMessage()

@@ -1,0 +1,93 @@
+"""What torch does not promise to keep: without it, plain `torch.compile` does the same."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+from torch._dynamo import guards
+from torch._inductor import codecache
+
+from otc_dist.steps import engine, torch_internals
+from otc_dist.steps.engine import Engine
+
+Patch = Callable[[pytest.MonkeyPatch], None]
+
+
+def _no_pass(patch: pytest.MonkeyPatch) -> None:
+    patch.setitem(sys.modules, "otc_dist.steps.matrix_products", None)
+    patch.delattr("otc_dist.steps.matrix_products")
+
+
+# What another torch may be like, and what is then said of it.
+OTHERS: dict[str, tuple[Patch, str]] = {
+    "no such option": (
+        lambda patch: patch.setattr(torch._inductor, "list_options", lambda: ["max_autotune"]),
+        "it has no option cpp_wrapper",
+    ),
+    "no such folder": (
+        lambda patch: patch.delattr(codecache, "_HEADER_LOCK_DIR"),
+        "_HEADER_LOCK_DIR",
+    ),
+    "no such pass": (
+        _no_pass,
+        "matrix_products",
+    ),
+    "other names of guards": (
+        lambda patch: patch.setattr(guards, "strip_local_scope", lambda name: name),
+        "a guard on an argument is not known by its name",
+    ),
+}
+
+
+@pytest.fixture
+def forgotten() -> Iterator[None]:
+    """What was found out about the installed torch is found out again, before and after."""
+    cached = (torch_internals.usable, torch_internals.multiplies)
+    for function in cached:
+        function.cache_clear()
+    yield
+    for function in cached:
+        function.cache_clear()
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_another_torch_is_one_line_and_the_plain_way(
+    other: str,
+    forgotten: None,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    change, told = OTHERS[other]
+    # In whose folder, under /tmp, they would lie is then not known.
+    plain = {} if other == "no such option" else {"cpp_cache_precompile_headers": False}
+    change(monkeypatch)
+    assert torch_internals.options(("rows",), on_cpu=True, compiler="g++") == plain
+    assert not torch_internals.multiplies("g++")
+    (said,) = (one.getMessage() for one in caplog.records if one.name == torch_internals.__name__)
+    assert said.startswith("updates are compiled by plain torch.compile: torch") and told in said
+    assert "\n" not in said
+
+
+def test_the_torch_that_is_tested_has_it_all(
+    forgotten: None, caplog: pytest.LogCaptureFixture
+) -> None:
+    engine._keep_compiled()
+    assert torch_internals.usable()
+    assert not [one for one in caplog.records if one.name == torch_internals.__name__]
+
+
+@pytest.mark.slow
+def test_the_plain_way_computes_the_same(forgotten: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    OTHERS["no such option"][0](monkeypatch)
+
+    def layer(rows: Tensor, weight: Tensor) -> Tensor:
+        return torch.relu(rows @ weight).sum(0)
+
+    left, right = torch.rand(7, 5), torch.rand(5, 3)
+    plain = Engine("compiled", "own").fuse(layer)
+    torch.testing.assert_close(plain(left, right), layer(left, right))
