@@ -33,7 +33,8 @@ def passes(version: str, folder: Path) -> bool:
     constraints = environment / "constraints.txt"
     constraints.write_text("\n".join(line for line in lines if not line.startswith("torch==")))
     install = (python, "-m", "pip", "install", "-q", "--no-cache-dir", "-c", constraints)
-    subprocess.run([*install, f"torch=={version}", "pytest", "pytest-xdist", "-e", ROOT], check=True)
+    wanted = (f"torch=={version}", "pytest", "pytest-xdist", "-e", ROOT)
+    subprocess.run([*install, *wanted], check=True)
     tests = ("-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/steps")
     return subprocess.run([python, *tests], cwd=ROOT, check=False).returncode == 0
 
