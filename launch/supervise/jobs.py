@@ -9,6 +9,7 @@ from pathlib import Path
 
 from otc_dist.terminal.amounts import duration
 
+from . import job_order
 from .health import LIMIT
 from .signals import Signals
 from .standstill import Standstill
@@ -69,7 +70,7 @@ class StoppedError(Exception):
 def run_jobs(
     jobs: Sequence[Job], workers: int, finished: Callable[[Job], None], patience: float
 ) -> None:
-    """Do all jobs that are not done, at most `workers` at once, the earliest that can run first.
+    """Do all jobs that are not done, at most `workers` at once, in an order of `job_order`.
 
     One that is killed, or stands still, is begun again, while the others go on.
 
@@ -84,11 +85,16 @@ def run_jobs(
     running: dict[str, _RunningJob] = {}
     restarts = Counter[str]()
     clock = _Clock(sum(job.seconds for job in waiting), workers)
+    chains = job_order.chains(waiting)
     with Signals() as signals, Supervisor(signals) as supervisor:
         while waiting or running:
-            for job in [job for job in waiting if all(path.exists() for path in job.needs)]:
-                if len(running) == workers:
-                    break
+            ready = [job for job in waiting if all(path.exists() for path in job.needs)]
+            while ready and len(running) < workers:
+                left = sum(job.seconds for job in waiting) + sum(
+                    going.job.seconds for going in running.values()
+                )
+                job = job_order.next_job(ready, chains, left, workers)
+                ready.remove(job)
                 waiting.remove(job)
                 job.output.unlink(missing_ok=True)
                 supervisor.start(job.name, job.command, job.output)
