@@ -106,6 +106,8 @@ def _compare(
     """Do the jobs: on this machine, or, where `queue` has options for it, in SLURM's queue."""
     if results is not None:  # a mistake shows before anything runs
         collected.keep(folder, (), (), results)
+    if taken := job_graph.take_offline(folder, base, arms, seeds):
+        say(f"{taken} offline policies are those that an earlier comparison trained")
     jobs = job_graph.comparison(folder, base, arms, seeds)
     left = sum(not job.done for job in jobs)
     say(f"{folder.root}: {len(jobs)} jobs, {left} of them to do")

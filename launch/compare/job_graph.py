@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from otc_dist.comparison import offline_cache
 from otc_dist.comparison.arms import ANALYSES, Arms, describe, offline_files
 from otc_dist.comparison.scores import OFFLINE, ComparisonFolder, write_json
 from otc_dist.datasets import inputs, store
@@ -162,6 +163,26 @@ def _trained_and_evaluated(
         seconds=15,
     )
     return [*training, evaluation]
+
+
+def take_offline(
+    folder: ComparisonFolder, base: Description, arms: Arms, seeds: Sequence[int]
+) -> int:
+    """Take the offline policies that earlier comparisons have trained; returns how many.
+
+    Raises:
+        UserError: the environment or the code that they name cannot be loaded.
+    """
+    agents, taken = registry.team_spec(base.env.id).names, 0
+    for seed in seeds:
+        for assignments in dict.fromkeys([(), *arms.values()]):
+            description = describe(base, assignments, seed)
+            files = offline_files(folder, base, description)
+            for agent in agents:
+                wanted = files.checkpoint(agent, 0)
+                if not wanted.exists():
+                    taken += offline_cache.fetch(description, agent, wanted)
+    return taken
 
 
 def comparison(

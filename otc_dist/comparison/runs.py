@@ -11,7 +11,7 @@ from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from otc_dist.comparison import analyses
+from otc_dist.comparison import analyses, offline_cache
 from otc_dist.comparison.analyses import Analysis
 from otc_dist.comparison.arms import ANALYSES, describe, offline_files
 from otc_dist.comparison.scores import (
@@ -52,7 +52,7 @@ def train_offline(
     assignments: Sequence[str] = (),
 ) -> None:
     """Train pi_0 of one agent, and what any arm's distance fits to B_0, from its newest unfinished
-    checkpoint.
+    checkpoint. It is kept for other comparisons as well.
 
     Args:
         assignments: those of an arm that has its own pi_0; none: the one that all others share.
@@ -70,8 +70,9 @@ def train_offline(
         on_progress(share, f"{progress.phase} {progress.update:,} of {progress.updates:,}")
 
     learner.pretrain(report, lambda: learner.save(unfinished))
-    learner.save(files.checkpoint(agent, 0))
+    learner.save(made := files.checkpoint(agent, 0))
     unfinished.unlink(missing_ok=True)
+    offline_cache.keep(description, agent, made)
 
 
 def evaluate_offline(
