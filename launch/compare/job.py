@@ -1,5 +1,6 @@
 """`python -m otc_dist.launch.compare.job FOLDER SEED PIECE ...`: one process of a comparison.
 
+compile                          compile what offline training runs
 offline AGENT [ASSIGNMENT ...]   train pi_0 of one agent, or of an arm that has its own
 pi_0 [ASSIGNMENT ...]            evaluate the team pi_0
 arm NAME ASSIGNMENT ...          tune and evaluate an arm
@@ -13,10 +14,13 @@ from otc_dist.comparison import arms, runs
 from otc_dist.comparison.mechanism import check
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description, user_code
+from otc_dist.description.distances import DISTANCES
 from otc_dist.terminal.errors import run_main
 
 from ..plan.run_record import versions
+from ..run.compile import compile_updates
 from ..supervise.jobs import ProgressLines
+from . import job_graph
 
 
 def main(argv: list[str]) -> int:
@@ -34,7 +38,10 @@ def main(argv: list[str]) -> int:
 def _do(
     folder: ComparisonFolder, base: Description, seed: int, piece: str, rest: list[str]
 ) -> None:
-    if piece == "offline":
+    if piece == "compile":
+        compile_updates(base, fits=DISTANCES)
+        job_graph.compiled(base).touch()
+    elif piece == "offline":
         runs.train_offline(folder, base, seed, rest[0], ProgressLines(), rest[1:])
     elif piece == "pi_0":
         runs.evaluate_offline(folder, base, seed, rest)

@@ -1,8 +1,11 @@
 """A comparison as jobs: data, offline training of every agent, pi_0's evaluation, every arm."""
 
+import hashlib
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
 
 from otc_dist.comparison import offline_cache
 from otc_dist.comparison.arms import ANALYSES, Arms, describe, offline_files
@@ -12,6 +15,7 @@ from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.run.folder import RunFolder
 from otc_dist.system import durable, records
+from otc_dist.system.cache import compiled_root
 from otc_dist.terminal.errors import UserError
 
 from ..plan import forecast, run_record
@@ -118,6 +122,26 @@ def _data(folder: ComparisonFolder, base: Description) -> Job:
     )
 
 
+def compiled(base: Description) -> Path:
+    """The mark that what offline training runs has been compiled: it lies beside that code."""
+    depends_on = f"{base.offline_digest()} {offline_cache.surroundings()}"
+    return compiled_root() / f"offline-{hashlib.sha256(depends_on.encode()).hexdigest()[:16]}.done"
+
+
+def _compiled_first(folder: ComparisonFolder, base: Description, jobs: list[Job]) -> list[Job]:
+    """The same with a job that compiles, while data are made, what all that begin at once would
+    compile otherwise. `jobs`: the data's first.
+    """
+    data = jobs[0]
+    training = [job for job in jobs if data.product in job.needs and not job.done]
+    if base.engine.name == "eager" or not training:
+        return jobs
+    command, output = _piece(folder, base.seed, "compile"), folder.root / "output" / "compile.log"
+    code = Job("compiled code", command, compiled(base), output, seconds=60)
+    waiting = {job.name: replace(job, needs=(*job.needs, code.product)) for job in training}
+    return [data, code, *(waiting.get(job.name, job) for job in jobs[1:])]
+
+
 def _training(
     folder: ComparisonFolder,
     base: Description,
@@ -216,7 +240,7 @@ def comparison(
                     _tuning_seconds(description, ANALYSIS if arm in ANALYSES else 0.0),
                 )
             )
-    return jobs
+    return _compiled_first(folder, base, jobs)
 
 
 def mechanism(
@@ -229,7 +253,7 @@ def mechanism(
     """Offline training where it is missing, and the mechanism check `name` of every seed."""
     data = _data(folder, base)
     training = {seed: _training(folder, base, seed, data) for seed in seeds}
-    return [
+    jobs = [
         data,
         *(job for of_seed in training.values() for job in of_seed),
         *(
@@ -244,6 +268,7 @@ def mechanism(
             for seed in seeds
         ),
     ]
+    return _compiled_first(folder, base, jobs)
 
 
 def _piece(folder: ComparisonFolder, seed: int, *piece: str) -> tuple[str, ...]:

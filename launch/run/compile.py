@@ -7,6 +7,7 @@ updates asks for all of it. Only the code of a few samplers depends on the size 
 
 import sys
 import time
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,25 +27,37 @@ DEPLOYED = 16
 
 
 def main(argv: list[str]) -> int:
-    """Compile for every agent that differs in its sizes; agents of one size share the code.
+    """Compile for a run.
 
     `argv`: the run folder, and the agents that learn on this machine (none: all).
     """
     description = Description.load(RunFolder(Path(argv[0])).description).trusted()
-    agents = {
-        (agent.observation_size, agent.action_size): agent
-        for agent in registry.team_spec(description.env.id).agents
-        if agent.name in argv[1:] or not argv[1:]
-    }
     print("compiling the updates (about a minute; seconds if done before) ...", file=sys.stderr)
     start = time.monotonic()
-    for agent in agents.values():
-        _exercise(description, agent)
+    compile_updates(description, argv[1:])
     print(f"compiled in {time.monotonic() - start:.0f} s", file=sys.stderr)
     return 0
 
 
-def _exercise(description: Description, agent: AgentSpec) -> None:
+def compile_updates(
+    description: Description, names: Sequence[str] = (), fits: Iterable[str] = ()
+) -> None:
+    """Compile for every agent that differs in its sizes; agents of one size share the code.
+
+    Args:
+        names: of the agents; empty: all.
+        fits: distances, beside the sampling's own, that fit something to B_0.
+    """
+    agents = {
+        (agent.observation_size, agent.action_size): agent
+        for agent in registry.team_spec(description.env.id).agents
+        if agent.name in names or not names
+    }
+    for agent in agents.values():
+        _exercise(description, agent, fits)
+
+
+def _exercise(description: Description, agent: AgentSpec, fits: Iterable[str]) -> None:
     short = description.with_assignments(
         "offline.updates=1", "embedding.updates=1", "deployment.updates=1", "deployment.count=1",
         f"deployment.transitions={DEPLOYED}", "embedding.minimum_active=0",
@@ -56,7 +69,7 @@ def _exercise(description: Description, agent: AgentSpec) -> None:
         online = deployment.count * deployment.transitions
         rows = description.dataset.transitions + online - DEPLOYED
     task = registry.task(description.env.id)
-    learner = Learner(short, agent, made_up(agent, rows), task)
+    learner = Learner(short, agent, made_up(agent, rows), task, fits=fits)
     learner.pretrain(_ignore, lambda: None)
     learner.tune(1, made_up(agent, DEPLOYED), _ignore)
 

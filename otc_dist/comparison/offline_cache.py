@@ -109,12 +109,19 @@ def _entry(description: Description, agent: str) -> Path:
         "offline": description.offline_digest(),
         "data": _digest(path := _data(description, agent), path.stat().st_mtime_ns),
         "own code": {**inputs.sources(description), **inputs.code(description)},
+        **surroundings(),
+    }
+    key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:32]
+    return cache_root() / "policies" / f"{key}{SUFFIX}"
+
+
+def surroundings() -> dict[str, object]:
+    """What the bytes of a policy depend on beside its description and its data."""
+    return {
         "package": _package(),
         "versions": {"python": platform.python_version(), **of_packages(*PACKAGES)},
         "processor": kind(),
     }
-    key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:32]
-    return cache_root() / "policies" / f"{key}{SUFFIX}"
 
 
 def _data(description: Description, agent: str) -> Path:

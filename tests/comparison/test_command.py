@@ -117,6 +117,24 @@ def test_an_arm_with_its_own_pi_0_is_trained_and_evaluated_once_for_all_that_sha
     assert training.command[-2:] == ("agent_1", "algorithm.discount=0.5")
 
 
+def test_updates_are_compiled_once_before_all_that_would_begin_with_it(
+    base: Description, tmp_path: Path
+) -> None:
+    folder, arms = ComparisonFolder(tmp_path), arms_of.parse_arms("uniform")
+    compiling = base.with_assignments("engine.name=compiled")
+    data, code, *others = job_graph.comparison(folder, compiling, arms, (0, 1))
+    assert code.command[-1] == "compile" and not code.needs  # while data are made
+    for job in others:
+        assert (code.product in job.needs) == (data.product in job.needs) == ("offline" in job.name)
+    for job in others:
+        if "offline" in job.name:
+            job.product.parent.mkdir(parents=True)
+            job.product.touch()
+    left = [job for job in job_graph.comparison(folder, compiling, arms, (0, 1)) if not job.done]
+    assert not [job for job in left if job.command[-1] == "compile"]  # nothing is to be trained
+    assert not [job for job in job_graph.comparison(folder, base, arms, (2,)) if "code" in job.name]
+
+
 def test_tables_need_the_raw_scores_only(
     finished: ComparisonFolder,
     tiny_flags: tuple[str, ...],

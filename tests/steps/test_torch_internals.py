@@ -76,6 +76,9 @@ def test_another_torch_is_one_line_and_the_plain_way(
 def test_the_torch_that_is_tested_has_it_all(
     forgotten: None, caplog: pytest.LogCaptureFixture
 ) -> None:
+    tested = (Path(__file__).parents[2] / "constraints.txt").read_text().splitlines()
+    if f"torch=={torch.__version__.partition('+')[0]}" not in tested:
+        pytest.skip("another torch may lack something")
     engine._keep_compiled()
     assert torch_internals.usable()
     assert not [one for one in caplog.records if one.name == torch_internals.__name__]
