@@ -1,6 +1,6 @@
 """`python -m otc_dist.launch.compare.job FOLDER SEED PIECE ...`: one process of a comparison.
 
-compile                          compile what offline training runs
+compile MARK                     compile what offline training runs, and make the file MARK
 offline AGENT [ASSIGNMENT ...]   train pi_0 of one agent, or of an arm that has its own
 pi_0 [ASSIGNMENT ...]            evaluate the team pi_0
 arm NAME ASSIGNMENT ...          tune and evaluate an arm
@@ -20,7 +20,6 @@ from otc_dist.terminal.errors import run_main
 from ..plan.run_record import versions
 from ..run.compile import compile_updates
 from ..supervise.jobs import ProgressLines
-from . import job_graph
 
 
 def main(argv: list[str]) -> int:
@@ -40,7 +39,7 @@ def _do(
 ) -> None:
     if piece == "compile":
         compile_updates(base, fits=DISTANCES)
-        job_graph.compiled(base).touch()
+        Path(rest[0]).touch()
     elif piece == "offline":
         runs.train_offline(folder, base, seed, rest[0], ProgressLines(), rest[1:])
     elif piece == "pi_0":

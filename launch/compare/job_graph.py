@@ -122,7 +122,7 @@ def _data(folder: ComparisonFolder, base: Description) -> Job:
     )
 
 
-def compiled(base: Description) -> Path:
+def _mark(base: Description) -> Path:
     """The mark that what offline training runs has been compiled: it lies beside that code."""
     depends_on = f"{base.offline_digest()} {offline_cache.surroundings()}"
     return compiled_root() / f"offline-{hashlib.sha256(depends_on.encode()).hexdigest()[:16]}.done"
@@ -136,8 +136,9 @@ def _compiled_first(folder: ComparisonFolder, base: Description, jobs: list[Job]
     training = [job for job in jobs if data.product in job.needs and not job.done]
     if base.engine.name == "eager" or not training:
         return jobs
-    command, output = _piece(folder, base.seed, "compile"), folder.root / "output" / "compile.log"
-    code = Job("compiled code", command, compiled(base), output, seconds=60)
+    mark, output = _mark(base), folder.root / "output" / "compile.log"
+    command = _piece(folder, base.seed, "compile", str(mark))
+    code = Job("compiled code", command, mark, output, seconds=60)
     waiting = {job.name: replace(job, needs=(*job.needs, code.product)) for job in training}
     return [data, code, *(waiting.get(job.name, job) for job in jobs[1:])]
 

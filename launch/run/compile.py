@@ -19,6 +19,7 @@ from otc_dist.learner.trainer import Progress
 from otc_dist.randomness import stream
 from otc_dist.run.folder import RunFolder
 from otc_dist.spec import AgentSpec
+from otc_dist.steps.engine import check
 from otc_dist.terminal.errors import run_main
 from otc_dist.transitions import Transitions
 
@@ -47,7 +48,11 @@ def compile_updates(
     Args:
         names: of the agents; empty: all.
         fits: distances, beside the sampling's own, that fit something to B_0.
+
+    Raises:
+        UserError: what this torch compiles is wrong.
     """
+    check(description.engine)
     agents = {
         (agent.observation_size, agent.action_size): agent
         for agent in registry.team_spec(description.env.id).agents

@@ -17,7 +17,6 @@ from ..supervise.standstill import Standstill
 from ..supervise.supervisor import die_with_parent
 
 _LOOK = 0.5  # seconds between two looks at the process that was asked
-_LONG = 10  # looks without an answer, after which that is said
 
 # In a process of its own: importing torch takes seconds and memory that the launcher never needs.
 _ASK_ENGINE = """
@@ -120,14 +119,11 @@ def _engine(description: Description) -> EngineSection:
 
 def _heard(asked: "subprocess.Popen[str]", patience: float) -> tuple[str, str]:
     """What a process printed to its end. Raises UserError if it stands still before."""
-    standstill, looks = Standstill(asked.pid, patience), 0
+    standstill = Standstill(asked.pid, patience)
     while True:
         try:
             return asked.communicate(timeout=_LOOK)
         except subprocess.TimeoutExpired:
-            looks += 1
-            if looks == _LONG:
-                print("choosing an engine; with each torch the first time takes half a minute")
             if why := standstill.look(time.monotonic()):
                 raise UserError(
                     f"cannot choose an engine: the process that was asked {why}; try again, or"

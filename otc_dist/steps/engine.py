@@ -67,6 +67,22 @@ def _multiplied(products: ProductsName, name: Resolved) -> Products:
     return "torch"
 
 
+def check(resolved: EngineSection) -> None:
+    """See that compiled code computes rightly, before all of it is compiled.
+
+    Raises:
+        UserError: products of our own do not work with this torch, though it has all they need.
+    """
+    compiler = _compiler()
+    if resolved.products == "own" and compiler:
+        _keep_compiled()
+        if fault := torch_internals.try_product(compiler):
+            raise UserError(
+                f"matrix products of our own fail with torch {torch.__version__} ({fault}); start"
+                " with --set engine.products=torch"
+            )
+
+
 def _compiler() -> str | None:
     """The path of a C++ compiler."""
     return shutil.which("g++") or shutil.which("clang++")

@@ -65,12 +65,8 @@ def usable() -> bool:
     return True
 
 
-@functools.cache
 def multiplies(compiler: str) -> bool:
-    """Whether compiled code computes products by our own kernel here; one line is logged if not.
-
-    A small product is tried, once for each torch: it takes as long as what it compiles first, the
-    headers that all compiled code includes.
+    """Whether compiled code may call our own kernel for products; one line is logged if not.
 
     Args:
         compiler: a C++ compiler's path.
@@ -79,27 +75,33 @@ def multiplies(compiler: str) -> bool:
         return False
     from otc_dist.steps import matrix_products
 
+    return matrix_products.loaded(compiler) is not None
+
+
+def try_product(compiler: str) -> str:
+    """What is wrong with products of our own in what this torch compiles; nothing: "".
+
+    A small one is tried, once for each torch. It takes as long as the headers that all compiled
+    code includes, which are compiled first.
+
+    Args:
+        compiler: a C++ compiler's path.
+    """
+    from otc_dist.steps import matrix_products
+
     library = matrix_products.loaded(compiler)
-    if library is None:
-        return False
-    tried = library.with_suffix(".tried")
-    if not tried.exists():
-        chosen = options(("left", "right"), on_cpu=True, compiler=compiler)
-        try:
-            _try_product(chosen)
-        except Exception as error:  # whatever another torch may say
-            log.warning("matrix products are left to torch %s: %s", torch.__version__, _line(error))
-            return False
-        tried.touch()
-    return True
-
-
-def _try_product(options: dict[str, Any]) -> None:
-    """Raises an error if a product cannot be compiled with these options, or is wrong."""
+    if library is None or (tried := library.with_suffix(".tried")).exists():
+        return ""
     left, right = torch.arange(6.0).reshape(2, 3), torch.arange(12.0).reshape(3, 4)
-    compiled = torch.compile(_product, fullgraph=True, dynamic=False, options=options)
-    if not torch.equal(compiled(left, right), _product(left, right)):
-        raise ValueError("a product is wrong")
+    chosen = options(("left", "right"), on_cpu=True, compiler=compiler)
+    try:
+        compiled = torch.compile(_product, fullgraph=True, dynamic=False, options=chosen)
+        if not torch.equal(compiled(left, right), _product(left, right)):
+            return "a product is wrong"
+    except Exception as error:  # whatever another torch may say
+        return _line(error)
+    tried.touch()
+    return ""
 
 
 def _product(left: Tensor, right: Tensor) -> Tensor:

@@ -75,10 +75,8 @@ def test_a_kernel_that_does_not_compile_is_one_line(
     monkeypatch.setattr(matrix_products, "SOURCE", broken)
     monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path))
     matrix_products.loaded.cache_clear()
-    torch_internals.multiplies.cache_clear()
     assert not torch_internals.multiplies("g++")
     matrix_products.loaded.cache_clear()
-    torch_internals.multiplies.cache_clear()
     (record,) = caplog.records
     assert record.getMessage().startswith("matrix products are left to torch: product.cpp does not")
     assert "no such kernel" in record.getMessage() and "\n" not in record.getMessage()

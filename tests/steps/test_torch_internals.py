@@ -10,8 +10,10 @@ from torch import Tensor
 from torch._dynamo import guards
 from torch._inductor import codecache
 
-from otc_dist.steps import engine, torch_internals
+from otc_dist.description.sections import EngineSection
+from otc_dist.steps import engine, matrix_products, torch_internals
 from otc_dist.steps.engine import Engine
+from otc_dist.terminal.errors import UserError
 
 Patch = Callable[[pytest.MonkeyPatch], None]
 
@@ -45,12 +47,9 @@ OTHERS: dict[str, tuple[Patch, str]] = {
 @pytest.fixture
 def forgotten() -> Iterator[None]:
     """What was found out about the installed torch is found out again, before and after."""
-    cached = (torch_internals.usable, torch_internals.multiplies)
-    for function in cached:
-        function.cache_clear()
+    torch_internals.usable.cache_clear()
     yield
-    for function in cached:
-        function.cache_clear()
+    torch_internals.usable.cache_clear()
 
 
 @pytest.mark.parametrize("other", OTHERS)
@@ -82,6 +81,26 @@ def test_the_torch_that_is_tested_has_it_all(
     engine._keep_compiled()
     assert torch_internals.usable()
     assert not [one for one in caplog.records if one.name == torch_internals.__name__]
+
+
+@pytest.mark.slow
+def test_a_torch_that_compiles_products_wrongly_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    own = EngineSection(name="compiled", products="own")
+    if engine.resolve(EngineSection(name="compiled"), 1) != own:
+        pytest.skip("this processor has no such kernel")
+    library = tmp_path / "product.so"  # which was not tried
+    monkeypatch.setattr(matrix_products, "loaded", lambda compiler: library)
+    monkeypatch.setattr(torch, "equal", lambda *tensors: False)
+    with pytest.raises(
+        UserError, match=r"fail with torch .* \(a product is wrong\); start with --set"
+    ):
+        engine.check(own)
+    monkeypatch.undo()
+    monkeypatch.setattr(matrix_products, "loaded", lambda compiler: library)
+    engine.check(own)
+    assert library.with_suffix(".tried").exists()
 
 
 @pytest.mark.slow
