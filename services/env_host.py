@@ -29,12 +29,14 @@ from otc_dist.envs import registry
 from otc_dist.envs.rollout import Rollout
 from otc_dist.run.host_state import HostState
 from otc_dist.system import durable
+from otc_dist.system.ports import Port
 from otc_dist.system.processor import kind
 from otc_dist.terminal.amounts import plus_minus
 from otc_dist.transitions import Float32, JointStep
 
 from .acting import confirmed
 from .deployment_conditions import DeploymentConditions
+from .exposition import Counts, exposed
 from .history import history_of
 from .host_bus import open_bus
 from .process import Run, check_endpoints, parser, recording, serve
@@ -70,6 +72,7 @@ class EnvHost:
         self._phase, self._deployment, self._total = "starting", 0, 0
         self._rollout: Rollout | None = None  # of the phase under way
         self._metrics: dict[str, float] = {}
+        self._returns: dict[str, float] = {}  # the newest of each kind
         self.heartbeat = Heartbeat(session, run.keys, HOST, self._rejections, self._status)
         for agent in run.team.names:
             session.answer(run.keys.history(agent), history_of(run, agent, self._rejections))
@@ -128,7 +131,7 @@ class EnvHost:
         }
         with recording(path, "the evaluation is played again"):
             durable.write(path, (json.dumps(result, indent=1) + "\n").encode())
-        self._metrics = {"return": mean}
+        self._metrics, self._returns["greedy"] = {"return": mean}, mean
         if rollout.successes is not None:
             self._metrics["success"] = 100 * sum(rollout.successes) / episodes
         self.heartbeat.publish()
@@ -170,6 +173,7 @@ class EnvHost:
         log.info("deployment %d: %d steps in %s", k, self._schedule.steps, path.name)
         if found := self._conditions.measured(k):
             self._metrics = {"measured": found.mean, "error": found.error}
+            self._returns["measured"] = found.mean
             log.info("deployment %d measured %s", k, plus_minus(found.mean, found.error))
         self.heartbeat.publish()
 
@@ -250,6 +254,12 @@ class EnvHost:
             awaits=self._lockstep.awaited,
         )
 
+    def counts(self) -> Counts:
+        """What is counted and measured, from any thread."""
+        lockstep = self._lockstep
+        returns, rejected = dict(self._returns), self._rejections.by_reason()
+        return Counts(lockstep.answered, lockstep.resent, rejected, returns)
+
 
 def _actions(answers: Sequence[Action]) -> list[Float32]:
     return [answer.actions for answer in answers if answer.actions is not None]
@@ -274,15 +284,23 @@ def main() -> None:
     command.add_argument(
         "--connect", metavar="ENDPOINT", help="a Zenoh router's endpoint, instead of listening"
     )
+    command.add_argument(
+        "--prometheus",
+        metavar="[HOST:]PORT",
+        help="answer Prometheus there, under /metrics (HOST: the loopback)",
+    )
     arguments = command.parse_args()
 
     def body() -> None:
         check_endpoints(arguments)
+        port = Port.parse(arguments.prometheus) if arguments.prometheus else None
         run = Run.open(arguments.run)
         run.check(inputs.sources(run.description))
         session = open_bus(run, arguments)
         try:
-            EnvHost(run, session).serve(arguments.patience)
+            host = EnvHost(run, session)
+            with exposed(port, run.keys.run, lambda: host.heartbeat.newest, host.counts):
+                host.serve(arguments.patience)
         finally:
             session.close()
             if not arguments.connect:

@@ -20,6 +20,7 @@ from otc_dist.spec import TeamSpec
 from otc_dist.terminal.amounts import duration
 
 from . import forecast
+from .beside import NOTHING, Beside
 from .deadline import within
 from .placement import Placement
 
@@ -48,6 +49,7 @@ class Plan:
     spec: TeamSpec
     processes: tuple[Process, ...]  # those of this machine
     placement: Placement
+    beside: Beside = NOTHING
 
     @property
     def parts(self) -> list[forecast.Part]:
@@ -155,6 +157,8 @@ class Plan:
             yield f"  {process.name}: {shlex.join(process.command)}"
             for does, keys in vars(process.uses).items():
                 yield from (f"      {does:9} {key}" for key in keys)
+        if self.beside.tracker:
+            yield f"beside       {shlex.join(self.beside.tracking(self.folder.root))}"
         seconds = sum(part.seconds for part in self.parts)
         making = "" if self._cached else ", and what the data take to make"
         yield f"time         about {duration(seconds)}{making}"
@@ -190,7 +194,13 @@ def team_of(description: Description) -> TeamSpec:
         return registry.team_spec(description.env.id)
 
 
-def make(description: Description, folder: RunFolder, run: str, placement: Placement) -> Plan:
+def make(
+    description: Description,
+    folder: RunFolder,
+    run: str,
+    placement: Placement,
+    beside: Beside = NOTHING,
+) -> Plan:
     """The plan of a resolved description, `run` being its name on the bus.
 
     Raises:
@@ -205,8 +215,8 @@ def make(description: Description, folder: RunFolder, run: str, placement: Place
         whose = () if host else ("--agent", name)
         command = (sys.executable, "-m", module, "--run", str(folder.root), *whose)
         uses = keys.host_uses(spec.names) if host else keys.learner_uses(name)
-        return Process(name, (*command, *placement.flags(host)), uses)
+        watched = beside.host_flags() if host else ()
+        return Process(name, (*command, *placement.flags(host), *watched), uses)
 
-    return Plan(
-        description, folder, spec, tuple(map(process, placement.processes(spec))), placement
-    )
+    processes = tuple(map(process, placement.processes(spec)))
+    return Plan(description, folder, spec, processes, placement, beside)

@@ -16,6 +16,7 @@ from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import say
 
 from ..plan import descriptions, new_folder, plan, preflight, run_record
+from ..plan.beside import Beside
 from ..plan.placement import Placement
 from . import elsewhere, hosts, kubernetes
 from .extend import extend
@@ -53,7 +54,10 @@ def main(argv: list[str]) -> int:
 # What one asks for -> why, and with what it can be asked for: whatever else is given does nothing.
 _TOGETHER = {
     "list": ("--list lists what there is", ()),
-    "resume": ("--resume continues the run as it was begun", ("deployments",)),
+    "resume": (
+        "--resume continues the run as it was begun",
+        ("deployments", "track", "prometheus"),
+    ),
     "hosts": (
         "--hosts says what each host does",
         ("description", "arm", "set", "seed", "quick", "insecure", "ssh"),
@@ -92,6 +96,7 @@ def _start(arguments: argparse.Namespace) -> int:
     if arguments.hosts is not None or arguments.on is not None:
         return elsewhere.start(arguments, chosen, team)
     placement = Placement.of(arguments, chosen, team)
+    asked = Beside.of(arguments, placement.role)
     origin = Origin.of(arguments.origin, chosen) if arguments.origin else None
     if origin:
         chosen = origin.begun(chosen)
@@ -103,7 +108,7 @@ def _start(arguments: argparse.Namespace) -> int:
     name = f"{description.name}{arm}{quickly}-seed{description.seed}{part}"
     out: Path = arguments.out or Path("runs") / name
     run = out.name if placement.role == "all" else run_record.shared_name(description)
-    planned = plan.make(description, RunFolder(out.resolve()), run, placement)
+    planned = plan.make(description, RunFolder(out.resolve()), run, placement, asked)
     if arguments.dry_run:
         if quick:
             print(descriptions.QUICK_LABEL)
@@ -116,7 +121,8 @@ def _start(arguments: argparse.Namespace) -> int:
     if preflight.goes_on(planned):
         with run_record.locked(planned.folder):
             record = run_record.rejoin(planned.folder, description, placement)
-            return run_plan(plan.make(description, planned.folder, record.run, placement), record)
+            again = plan.make(description, planned.folder, record.run, placement, asked)
+            return run_plan(again, record)
     folder = new_folder.make_folder(out, planned.disk_bytes)
     with run_record.locked(folder):
         try:
@@ -127,19 +133,21 @@ def _start(arguments: argparse.Namespace) -> int:
         except (UserError, OSError):
             new_folder.take_away(folder.root, origin=True)
             raise
-        return run_plan(plan.make(description, folder, record.run, placement), record)
+        return run_plan(plan.make(description, folder, record.run, placement, asked), record)
 
 
 def _resume(arguments: argparse.Namespace) -> int:
     folder = RunFolder(arguments.resume.resolve())
     with ExitStack() as stack:
         # A folder without a record is not a run's: no lock in it.
-        run_record.RunRecord.read(folder).place.check_access()
+        place = run_record.RunRecord.read(folder).place
+        asked = Beside.of(arguments, place.role)
+        place.check_access()
         stack.enter_context(run_record.locked(folder))
         if arguments.deployments is not None:
             extend(folder, arguments.deployments)
         record, description = run_record.reopen(folder)
-        return run_plan(plan.make(description, folder, record.run, record.place), record)
+        return run_plan(plan.make(description, folder, record.run, record.place, asked), record)
 
 
 def command_line() -> Parser:
@@ -210,6 +218,7 @@ def command_line() -> Parser:
         default=kubernetes.IMAGE,
         help="with --on kubernetes: what the pods run (default: %(default)s; see Dockerfile)",
     )
+    Beside.add_flags(parser)
     user_code.add_flag(parser)
     parser.add_argument("--list", action="store_true", help="list the shipped descriptions")
     return parser

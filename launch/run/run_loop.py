@@ -35,6 +35,7 @@ from ..supervise.processes import MISTAKE, DiedError, RunProcesses
 from ..supervise.signals import Signals
 from ..supervise.supervisor import Supervisor
 from .one_off import StoppedError, run_one_off
+from .tracking import Tracking
 
 REFRESH = 0.5  # seconds between two looks at the statuses
 FAREWELL = 30.0  # seconds that the learners may take to end after the host has
@@ -60,16 +61,17 @@ def run_plan(plan: Plan, record: RunRecord) -> int:
     ledger = Ledger(record, plan.folder)
     with Signals() as signals:
         try:
-            with Supervisor(signals) as supervisor:
-                if record.state != "reporting":  # else all is done but the report
-                    _work(plan, ledger, supervisor, signals, title)
-                    ledger.enter("reporting")
-                _do(plan, plan.conclusions, supervisor, signals)
-                ledger.enter("finished")
-            if plan.conclusions:
-                _close(plan, title)
-            else:
-                print(f"{title}: finished; the env host has the results")
+            with Tracking(plan.beside, plan.folder, signals) as tracking:
+                with Supervisor(signals) as supervisor:
+                    if record.state != "reporting":  # else all is done but the report
+                        _work(plan, ledger, supervisor, signals, title, tracking)
+                        ledger.enter("reporting")
+                    _do(plan, plan.conclusions, supervisor, signals)
+                    ledger.enter("finished")
+                if plan.conclusions:
+                    _close(plan, title)
+                else:
+                    print(f"{title}: finished; the env host has the results")
         except StoppedError:
             assert signals.stop is not None
             ledger.enter("stopped")
@@ -112,7 +114,14 @@ def _close(plan: Plan, title: str) -> None:
         print(f"{title}: finished ({type(error).__name__}: {error}); report: {plan.folder.report}")
 
 
-def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, title: str) -> None:
+def _work(
+    plan: Plan,
+    ledger: Ledger,
+    supervisor: Supervisor,
+    signals: Signals,
+    title: str,
+    tracking: Tracking,
+) -> None:
     """Prepare and run the processes, until they have made all that they are to make.
 
     Raises:
@@ -128,7 +137,7 @@ def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, 
     if plan.data_folder is not None:
         shutil.copyfile(plan.data_folder / CARD, folder.dataset_card)
     with open_view(title) as view:
-        _run(plan, ledger, supervisor, signals, view)
+        _run(plan, ledger, supervisor, signals, view, tracking)
         # Learners read what they have written before they leave; the disk may damage it later.
         if damage := damaged_checkpoints(folder, description, plan.placement, plan.learners):
             if plan.placement.role != "all":
@@ -139,7 +148,7 @@ def _work(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, 
             view.say(f"{damage[0][0]}; it and what follows are made again")
             for path in (path for _, paths in damage for path in paths):
                 path.unlink(missing_ok=True)
-            _run(plan, ledger, supervisor, signals, view)
+            _run(plan, ledger, supervisor, signals, view, tracking)
 
 
 def _do(
@@ -149,7 +158,14 @@ def _do(
     run_one_off(commands, plan.folder.output, supervisor, signals, plan.patience)
 
 
-def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, view: View) -> None:
+def _run(
+    plan: Plan,
+    ledger: Ledger,
+    supervisor: Supervisor,
+    signals: Signals,
+    view: View,
+    tracking: Tracking,
+) -> None:
     """Start all processes, and again those that die, and show them until all have ended well."""
     processes = RunProcesses(plan, supervisor)
     board = Board(plan.watched, Remaining(plan.parts), processes.health.of_process)
@@ -186,7 +202,7 @@ def _run(plan: Plan, ledger: Ledger, supervisor: Supervisor, signals: Signals, v
             if signals.stop:
                 raise StoppedError
             finished = processes.look()
-            board.events += processes.drain_events()
+            board.events += processes.drain_events() + tracking.events()
             if board.newest.get(HOST, Status(HOST)).phase == "approval":
                 # Not by the phase between two: a short deployment may be over before it is seen.
                 lines = waiting_lines(plan.folder)

@@ -37,6 +37,10 @@ class HostLockstep:
             it is ready is none.
         changed: agent -> when (time.monotonic) its process last came or went: one that has just
             ended is being started again.
+
+    Attributes:
+        answered: how many questions all agents have answered.
+        resent: how many an agent was asked once more; both are read from any thread.
     """
 
     def __init__(
@@ -53,6 +57,7 @@ class HostLockstep:
         self._codecs = [AgentCodec(keys.run, agent, copies) for agent in agents]
         self._agents, self._names = agents, [agent.name for agent in agents]
         self._awaited: tuple[str, ...] = ()
+        self.answered, self.resent = 0, 0
         self._rejections, self._deadline = rejections, deadline
         self._board = StatusBoard(session, keys, tuple(self._names), rejections)
         self._inboxes = [session.inbox(keys.action(agent)) for agent in self._names]
@@ -98,9 +103,11 @@ class HostLockstep:
                     for other in missing:
                         self._check_deadline(other, asked, moment)
                         self._puts[other](payloads[other])
+                        self.resent += 1
                     repeat = min(2 * repeat, _SLOWEST_REPEAT)
                     next_repeat = now + repeat
         self._awaited = ()
+        self.answered += 1
         return [answers[index] for index in range(len(payloads))]
 
     def _look(

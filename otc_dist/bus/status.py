@@ -42,6 +42,7 @@ class Heartbeat:
         self._run, self._rejections, self._describe = keys.run, rejections, describe
         self._before = (time.monotonic(), Status(process))
         self._start, self._beats = secrets.randbits(63), 0
+        self.newest = Status(process)  # what was said last
         self._stop, self._lock = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
 
@@ -52,9 +53,8 @@ class Heartbeat:
             metrics = {**status.metrics, **self._rejections.as_metrics()}
             self._beats += 1
             newest = replace(status, rate=self._rate(status), metrics=metrics)
-            self._put(
-                encode_status(self._run, replace(newest, start=self._start, beat=self._beats))
-            )
+            self.newest = replace(newest, start=self._start, beat=self._beats)
+            self._put(encode_status(self._run, self.newest))
 
     def _rate(self, status: Status) -> float:
         """Updates a second since the last measurement in the same phase."""

@@ -48,10 +48,14 @@ class Rejections:
     def __getitem__(self, reason: str) -> int:
         return self._counts[reason]
 
+    def by_reason(self) -> dict[str, int]:
+        """The counts."""
+        with self._lock:
+            return dict(sorted(self._counts.items()))
+
     def as_metrics(self) -> dict[str, float]:
         """The counts as metrics of a status: `rejected/{reason}`."""
-        with self._lock:
-            return {f"rejected/{reason}": float(n) for reason, n in sorted(self._counts.items())}
+        return {f"rejected/{reason}": float(n) for reason, n in self.by_reason().items()}
 
 
 def pack(fields: list[object]) -> bytes:

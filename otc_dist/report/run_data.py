@@ -126,7 +126,7 @@ def read_run(folder: RunFolder) -> RunData:
     for k in range(description.deployment.count + 1):
         path = folder.evaluation(k)
         if path.exists():
-            evaluation = _attempt(path, _read_evaluation, problems)
+            evaluation = _attempt(path, read_evaluation, problems)
             if evaluation is not None:
                 evaluations.append(evaluation)
     finished = [
@@ -138,7 +138,7 @@ def read_run(folder: RunFolder) -> RunData:
     agents = [
         history
         for name in names
-        if (history := _attempt(folder.metrics(name), _read_history, problems)) is not None
+        if (history := _attempt(folder.metrics(name), read_history, problems)) is not None
     ]
     if not agents:
         problems.append("no agent has reported yet")
@@ -190,7 +190,8 @@ def _attempt(path: Path, read: Callable[[Path], T], problems: list[str]) -> T | 
     return None
 
 
-def _read_evaluation(path: Path) -> Evaluation:
+def read_evaluation(path: Path) -> Evaluation:
+    """An evaluation. Raises FileNotFoundError, UserError."""
     found = files.evaluated(path)
     return Evaluation(
         deployment=found.evaluation,
@@ -203,7 +204,8 @@ def _read_evaluation(path: Path) -> Evaluation:
     )
 
 
-def _read_history(path: Path) -> AgentHistory:
+def read_history(path: Path) -> AgentHistory:
+    """What the learner reported whose metrics.jsonl this is. Raises OSError, UserError."""
     history = AgentHistory(path.parent.name)
     for line in _lines(path):
         update = line.update

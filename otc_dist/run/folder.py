@@ -18,6 +18,7 @@ class RunFolder:
     waiting.json                     for whom the env host waits, while it does
     supervision.json                 how each process is, written by the launcher while it runs
     results.json, report.html        written at the end
+    tracking/tensorboard/            what a tracker reads, where that was asked for
     """
 
     root: Path
@@ -79,6 +80,9 @@ class RunFolder:
 
     def metrics(self, name: str) -> Path:
         return self.agent(name) / "metrics.jsonl"
+
+    def tracking(self, tracker: str) -> Path:
+        return self.root / "tracking" / tracker
 
     def output(self, process: str) -> Path:
         return self.root / "output" / f"{process}.log"

@@ -135,14 +135,15 @@ def launch(tmp_path: Path) -> Iterator[Callable[..., Launcher]]:
 
 
 def processes_of(run: Path) -> dict[str, int]:
-    """Services of that run which are alive now: their command lines -> process id."""
+    """Services and trackers of that run which are alive now: command line -> process id."""
     found = {}
     for entry in Path("/proc").iterdir():
         try:
             command = (entry / "cmdline").read_bytes().decode().split("\0")
         except (OSError, UnicodeDecodeError):
             continue  # it ended meanwhile, or is no process
-        if str(run) in command and any("otc_dist.services" in word for word in command):
+        ours = any(word.startswith(("otc_dist.services", "otc_dist.track")) for word in command)
+        if str(run) in command and ours:
             found[" ".join(command[1:])] = int(entry.name)
     return found
 

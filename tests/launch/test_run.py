@@ -24,9 +24,11 @@ from otc_dist.launch.plan.run_record import RunRecord
 from otc_dist.launch.run.resolve import resolve
 from otc_dist.run.folder import RunFolder
 from otc_dist.terminal.errors import UserError
+from tests.track.readers import READERS, measured
 
 from .conftest import AGENTS, Hold, Launcher, processes_of, same, wait_for_end
 from .namespaces import star
+from .scrapes import free_port, scraped
 
 pytestmark = pytest.mark.slow
 
@@ -58,8 +60,18 @@ def test_a_run_that_is_stopped_in_every_way_leaves_no_process_and_ends_the_same(
     tiny_flags: tuple[str, ...],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """One after the other, each after a resume from the one before."""
+    """One after the other, each after a resume from the one before.
+
+    A tracker that is told of it comes with some launchers, goes with each, and holds all in the
+    end; what watches the env host changes nothing either.
+    """
     folder = RunFolder(tmp_path / "run")
+    port = free_port()
+    beside = {
+        0: ("--track", "tensorboard"),
+        2: ("--prometheus", str(port)),
+        4: ("--track", "tensorboard"),
+    }
     command = ["3agent_hopper", *tiny_flags, "--out", "run"]
     moments = [
         ("agent_0", "offline", 0, "agent_0: offline", signal.SIGTERM),
@@ -70,10 +82,18 @@ def test_a_run_that_is_stopped_in_every_way_leaves_no_process_and_ends_the_same(
     ]
     for number, (process, phase, deployment, line, by) in enumerate(moments):
         hold = Hold(process, phase, deployment, tmp_path / f"gate{number}")
-        launcher = launch(*command, hold=hold)
+        asked = beside.get(number, ())
+        launcher = launch(*command, *asked, hold=hold)
         launcher.read_until(lambda status, line=line: status.startswith(line))
         children = list(processes_of(folder.root).values())
-        assert len(children) == 4
+        assert len(children) == 4 + ("--track" in asked)
+        if "--prometheus" in asked:
+            found = scraped(port)
+            assert found["otc_phase", "deployment"] == found["otc_deployment", ""] == 1
+            assert found["otc_phase_steps", ""] == 80 // 4
+            assert found["otc_lock_steps_total", ""] > 0  # of evaluation 0
+            evaluated = json.loads(folder.evaluation(0).read_text())
+            assert found["otc_return", "greedy"] == evaluated["mean_return"]
         launcher.process.send_signal(by)
         if by == signal.SIGKILL:  # nobody is left to stop the others in order
             wait_for_end(children)
@@ -87,9 +107,12 @@ def test_a_run_that_is_stopped_in_every_way_leaves_no_process_and_ends_the_same(
                 f"stopped by {by.name}; resume with: python -m otc_dist.launch"
             )
         command = ["--resume", str(folder.root)]
-    resumed = launch(*command)
+    resumed = launch(*command, "--track", "tensorboard")
     assert resumed.finish() == 0, resumed.text
     same(folder, finished[0])
+    assert "tracking: " not in resumed.text
+    points, _ = READERS["tensorboard"](folder.tracking("tensorboard"))
+    assert points == measured(finished[0])
 
 
 def test_a_checkpoint_that_the_disk_damages_unseen_is_made_again(

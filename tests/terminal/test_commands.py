@@ -110,7 +110,7 @@ def test_commands_flags_and_choices_are_completed(capsys: pytest.CaptureFixture[
 def test_what_an_extra_needs_is_installed_by_a_command_that_works_anywhere() -> None:
     """It names this Python, and packages that every index has: not ourselves, and no file."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    for extra in ("import", "export", "video", "smax"):
+    for extra in ("import", "export", "video", "mlflow", "smax"):
         words = shlex.split(extras.install(extra))
         assert words[:4] == [sys.executable, "-m", "pip", "install"]
         assert sorted(words[4:]) == sorted(project["optional-dependencies"][extra])

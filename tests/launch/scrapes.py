@@ -1,0 +1,27 @@
+"""What a Prometheus would read."""
+
+import socket
+import urllib.request
+
+from prometheus_client.parser import text_string_to_metric_families
+
+
+def free_port() -> int:
+    with socket.socket() as there:
+        there.bind(("127.0.0.1", 0))
+        port: int = there.getsockname()[1]
+    return port
+
+
+def scraped(port: int) -> dict[tuple[str, str], float]:
+    """(name, its label but the run's, or "") -> value."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=60) as answer:
+        text = answer.read().decode()
+    return {
+        (
+            sample.name,
+            "".join(x for name, x in sample.labels.items() if name != "run"),
+        ): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
