@@ -12,7 +12,7 @@ import numpy as np
 
 from otc_dist.algorithms.interface import Batch
 from otc_dist.steps.networks import Mlp, descend
-from otc_dist.steps.standardisation import moments
+from otc_dist.steps.standardisation import mean_and_std
 from otc_dist.steps.state import State
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ class StandardisedActorCritic(ActorCritic):
     @staticmethod
     def statistics(offline: Batch) -> dict[str, np.ndarray]:
         """`state_mean` and `state_std` of B_0."""
-        mean, std = moments(offline.observation.T)
+        mean, std = mean_and_std(offline.observation.T)
         return {"state_mean": mean.numpy(), "state_std": std.numpy()}
 
     @staticmethod

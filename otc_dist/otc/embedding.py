@@ -15,7 +15,7 @@ from torch.nn.functional import mse_loss
 from otc_dist.algorithms.interface import Batch
 from otc_dist.steps.networks import Mlp, adam, value_and_gradient
 from otc_dist.steps.noise import Noise, NoiseSpec
-from otc_dist.steps.standardisation import moments
+from otc_dist.steps.standardisation import mean_and_std
 from otc_dist.steps.state import State
 
 ACTIVE_VARIANCE = 0.01  # a dimension of mu is active above this variance over the data
@@ -61,7 +61,7 @@ class Embedding:
             "updates": np.zeros((), dtype=np.float64),
         }
         for name, values in (("state", rows.observation), ("action", rows.action)):
-            mean, std = moments(values.T)
+            mean, std = mean_and_std(values.T)
             state[f"{name}_mean"], state[f"{name}_std"] = mean.numpy(), std.numpy()
         return state
 

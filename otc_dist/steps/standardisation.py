@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 OFFSET = 1e-3  # TD3+BC's: an entry that is constant in B_0 may change later
 
 
-def moments(columns: Iterable[Tensor]) -> tuple[Tensor, Tensor]:
+def mean_and_std(columns: Iterable[Tensor]) -> tuple[Tensor, Tensor]:
     """Mean and standard deviation, plus OFFSET, of each column: float32 (n,) both.
 
     Args:

@@ -16,7 +16,7 @@ import numpy as np
 
 from otc_dist.algorithms.interface import Batch
 from otc_dist.steps.networks import Mlp
-from otc_dist.steps.standardisation import moments
+from otc_dist.steps.standardisation import mean_and_std
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -59,7 +59,7 @@ class Ensemble:
         }
         found = {}
         for name, columns in parts.items():
-            mean, std = moments(columns)
+            mean, std = mean_and_std(columns)
             found[f"{name}_mean"], found[f"{name}_std"] = mean.numpy(), std.numpy()
         return found
 

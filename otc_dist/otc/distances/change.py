@@ -17,7 +17,7 @@ from otc_dist.otc.distances.nearest import FeatureDistance
 from otc_dist.otc.samplers.correction import settings_of
 from otc_dist.otc.samplers.interface import Random
 from otc_dist.steps.engine import Engine
-from otc_dist.steps.standardisation import moments
+from otc_dist.steps.standardisation import mean_and_std
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
@@ -79,7 +79,7 @@ class Changes:
         """Take mean and standard deviation from packed rows (N, width) of B_0."""
         batch = unpack(rows, self._layout)
         action = action_features(batch.action, self._layout.choices)
-        mean, std = moments(
+        mean, std = mean_and_std(
             chain(
                 batch.observation.T,
                 action.T,
