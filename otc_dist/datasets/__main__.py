@@ -56,7 +56,8 @@ def main(argv: list[str]) -> int:
     else:
         user_code.allow(arguments.env, *arguments.allow)
         with progress.shown("reading", "logs") as report:
-            card = import_files(arguments.files, arguments.name, arguments.env, report)
+            given = (arguments.files, arguments.name, arguments.env)
+            card = import_files(*given, report, arguments.mapping)
         say(*describe(card))
     return 0
 
@@ -119,6 +120,12 @@ def command_line() -> Parser:
         metavar="ENVIRONMENT",
         help="for example hopper-3x1; default: what the logs say, or the team of the robot that "
         "FILE names",
+    )
+    importing.add_argument(
+        "--mapping",
+        type=Path,
+        metavar="FILE",
+        help="import FILE as a ROS 2 recording (rosbag2, MCAP): which field of which topic is what",
     )
     user_code.add_flag(importing)
     return parser

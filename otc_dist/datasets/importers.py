@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from otc_dist.datasets import hdf5_import, og_marl
+from otc_dist.datasets import hdf5_import, og_marl, ros_import
 from otc_dist.datasets.card import DatasetCard
-from otc_dist.datasets.found import team_returns
+from otc_dist.datasets.found import Found, team_returns
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.log_import import is_log, read_logs
 from otc_dist.datasets.names import DatasetName
@@ -18,15 +18,24 @@ from otc_dist.terminal.progress import Report, silent
 
 
 def import_files(
-    sources: Sequence[Path], level: str = "", env_id: str = "", report: Report = silent
+    sources: Sequence[Path],
+    level: str = "",
+    env_id: str = "",
+    report: Report = silent,
+    mapping: Path | None = None,
 ) -> DatasetCard:
     """Import deployment logs, joined, or one file of another kind; see those functions.
 
     An agent's own file, copied from another machine, keeps the name of its set.
 
+    Args:
+        mapping: the mapping file of a ROS 2 recording, which the one source then is.
+
     Raises:
         UserError: as they do; several files that are not all logs, no level where one is needed.
     """
+    if mapping is not None:
+        return import_recording(sources, mapping, level, env_id)
     if all(map(is_log, sources)):
         return import_logs(sources, level, env_id, report)
     for source in sources:
@@ -92,7 +101,26 @@ def import_file(source: Path, level: str, env_id: str = "") -> DatasetCard:
         UserError: as that `read`; nothing is left of it, a name that is taken; a full disk.
     """
     _check_level(level)
-    found = (og_marl if is_vault(source) else hdf5_import).read(source, env_id)
+    return _named(
+        (og_marl if is_vault(source) else hdf5_import).read(source, env_id), source, level
+    )
+
+
+def import_recording(
+    sources: Sequence[Path], mapping: Path, level: str, env_id: str
+) -> DatasetCard:
+    """Import the one recording of ROS 2 as the data set `<env_id>/<level>` and return its card.
+
+    Raises:
+        UserError: as `ros_import.read`; several sources, nothing is left, a name that is taken.
+    """
+    if len(sources) > 1:
+        raise UserError("a mapping file is for one recording: a file, or the folder of its files")
+    _check_level(level)
+    return _named(ros_import.read(sources[0], mapping, env_id), sources[0], level)
+
+
+def _named(found: Found, source: Path, level: str) -> DatasetCard:
     if not len(found.data):
         raise UserError(f"{source}: nothing is left of it: {'; '.join(found.made.notes)}")
     return _publish(_name(found.team.env_id, level), found.data, found.made)
