@@ -11,7 +11,7 @@ from otc_dist.description import Description
 from otc_dist.report import files
 from otc_dist.run.folder import RunFolder
 from otc_dist.system import locks
-from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.errors import UserError, os_error_line
 from otc_dist.track.points import GREEDY, MEASURED, Points
 from otc_dist.track.trackers import About, open_tracker
 
@@ -34,7 +34,7 @@ def write(
             is writing it.
     """
     points = Points(folder)
-    with _held(folder, out):
+    with _held(folder, out), _one_line_errors(out):
         tracker = open_tracker(name, out, _about(folder))
         try:
             while True:
@@ -83,6 +83,28 @@ def _flat(
             yield f"{prefix}{key}", value
         elif value is not None:
             yield f"{prefix}{key}", json.dumps(value)
+
+
+@contextmanager
+def _one_line_errors(out: Path) -> Iterator[None]:
+    """Name the folder where the system does not, and leave it at one line.
+
+    TensorBoard's writer has a thread, whose error comes to us as well as to the terminal.
+    """
+
+    def hook(ended: threading.ExceptHookArgs) -> None:
+        if not issubclass(ended.exc_type, OSError):
+            before(ended)
+
+    before, threading.excepthook = threading.excepthook, hook
+    try:
+        yield
+    except OSError as error:
+        if error.filename:
+            raise
+        raise UserError(f"cannot write {out}: {os_error_line(error)}") from None
+    finally:
+        threading.excepthook = before
 
 
 @contextmanager

@@ -3,6 +3,8 @@
 import fcntl
 import json
 import shlex
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -157,6 +159,24 @@ def test_what_cannot_be_written_is_one_line(
     assert line.startswith(f"tracking by {tracker} needs the package ")
     words = shlex.split(line.partition(": ")[2])
     assert words[1:4] == ["-m", "pip", "install"] and len(words) > 4
+
+
+_NO_SPACE = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+from otc_dist.terminal.errors import run_main
+from otc_dist.track.__main__ import main
+run_main(main)
+"""
+
+
+def test_a_disk_that_takes_no_more_is_one_line(made: MadeRun) -> None:
+    """The writer of TensorBoard's files has a thread, which says nothing of its own."""
+    command = [sys.executable, "-c", _NO_SPACE, str(made.folder.root), "--to", "tensorboard"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    out = made.folder.tracking("tensorboard")
+    assert (done.returncode, done.stderr) == (2, f"error: cannot write {out}: File too large\n")
 
 
 def test_nobody_else_s_event_files_are_touched(made: MadeRun) -> None:
