@@ -110,6 +110,7 @@ def test_lost_answers_are_asked_for_again(endpoint: str) -> None:
     with _bus(endpoint, answer) as (host, *_):
         for step in range(3):
             assert len(host.ask(_questions(step), acting=True)) == 2
+        assert host.answered == 3 and host.resent >= 3
 
 
 def test_answers_given_twice_are_counted_and_ignored(endpoint: str) -> None:
