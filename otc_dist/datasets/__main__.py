@@ -92,10 +92,11 @@ def command_line() -> Parser:
     )
     importing = commands.add_parser(
         "import",
-        help="import deployment logs, a D4RL file, a Minari data set or an OG-MARL vault",
+        help="import deployment logs, or others' files: D4RL, Minari, OG-MARL, LeRobot, ROS 2",
         description="Import deployment logs of one environment, joined; a joint Minari data set, "
-        "as `replay --export minari` makes it; a Flashbax vault of OG-MARL; or a recording of "
-        "single-agent play, whose action vector is split among the agents. Of unfinished or "
+        "as `replay --export minari` makes it; a Flashbax vault of OG-MARL; a LeRobot data set; "
+        "or a recording of single-agent play, whose action vector is split among the agents; or, "
+        "by --mapping, a ROS 2 recording. Of unfinished or "
         "damaged logs what is intact is taken, and from others' recordings transitions without a "
         "known true successor s' are dropped; the data set's notes say so.",
     )
@@ -105,8 +106,8 @@ def command_line() -> Parser:
         nargs="+",
         metavar="FILE",
         help="deployment logs (RUN/deployments/*.mcap); or one D4RL HDF5 file or Minari data set "
-        "(its folder or its main_data.hdf5); or one vault (its folder, as 3m.vlt/Good); or one "
-        "agent's own AGENT.safetensors from elsewhere",
+        "(its folder or its main_data.hdf5); or one vault or LeRobot data set (its folder); or "
+        "one agent's own AGENT.safetensors from elsewhere",
     )
     importing.add_argument(
         "--name",

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from otc_dist.datasets.stored import most
 from otc_dist.system.extras import install
 from otc_dist.terminal.errors import UserError
 
 if TYPE_CHECKING:
     import h5py
 
-_LARGEST_RATIO = 1100  # of the bytes of an array to those that are stored: Deflate's is 1,032
-_UNSTORED = 2**16  # bytes of an array that need not be stored, as those of one that has none
 _DAMAGE = (OSError, KeyError, RuntimeError, ValueError, TypeError, MemoryError)
 
 
@@ -57,7 +56,7 @@ def array(group: "h5py.Group", name: str, source: str) -> NDArray[Any] | None:
         if found.external or found.is_virtual or found.file.filename != group.file.filename:
             raise UserError(f"{source}: {name} lies in another file, and no other is read")
         stored, size = found.id.get_storage_size(), found.size * found.dtype.itemsize
-        if size > _UNSTORED + _LARGEST_RATIO * stored:
+        if size > most(stored):
             raise UserError(
                 f"{source}: {name} is to take {size:,} bytes, of which {stored:,} are stored"
             )

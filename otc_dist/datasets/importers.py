@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from otc_dist.datasets import hdf5_import, og_marl, ros_import
+from otc_dist.datasets import hdf5_import, lerobot, og_marl, ros_import
 from otc_dist.datasets.card import DatasetCard
 from otc_dist.datasets.found import Found, team_returns
 from otc_dist.datasets.joint import JointTransitions
+from otc_dist.datasets.lerobot import is_lerobot
 from otc_dist.datasets.log_import import is_log, read_logs
 from otc_dist.datasets.names import DatasetName
 from otc_dist.datasets.own_file import import_agent_file, is_agent_file
@@ -101,9 +102,8 @@ def import_file(source: Path, level: str, env_id: str = "") -> DatasetCard:
         UserError: as that `read`; nothing is left of it, a name that is taken; a full disk.
     """
     _check_level(level)
-    return _named(
-        (og_marl if is_vault(source) else hdf5_import).read(source, env_id), source, level
-    )
+    reader = og_marl if is_vault(source) else lerobot if is_lerobot(source) else hdf5_import
+    return _named(reader.read(source, env_id), source, level)
 
 
 def import_recording(

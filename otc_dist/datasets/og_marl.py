@@ -12,25 +12,20 @@ next row's. Our own exports have what is missing:
     infos.log, infos.copy, infos.step              which step of which log and copy a row is
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from otc_dist.datasets.fields import Fields
-from otc_dist.datasets.found import Found, team_returns
+from otc_dist.datasets.found import Found, begun_episodes, kept, left_out
 from otc_dist.datasets.joint import JointTransitions
-from otc_dist.datasets.recording import EpisodeStarts, clipped, dropped
 from otc_dist.datasets.vault import Vault
 from otc_dist.datasets.writing import Provenance, versions
 from otc_dist.envs import registry
 from otc_dist.names import from_text
 from otc_dist.spec import TeamSpec
 from otc_dist.terminal.errors import UserError
-from otc_dist.transitions import Bool, Float32, choice_problem
-
-_MOST_NAMES = 8  # of arrays that are not taken, in a note
+from otc_dist.transitions import Bool, Float32
 
 
 def read(path: Path, env_id: str) -> Found:
@@ -51,30 +46,20 @@ def read(path: Path, env_id: str) -> Found:
     team = registry.team_spec(env_id or named)
     fields = Fields(vault, team)
     data, begun, known, notes = _rows(fields, team)
-    happened = np.flatnonzero(~(data.terminated & data.truncated))
-    if broken := len(data) - len(happened):
-        notes += (f"without {broken} steps whose simulator broke off",)
-        data, begun, known = data[happened], begun[happened], known[happened]
-    returns, incomplete = team_returns(data, begun, team.env_id)
-    if not known.all():
-        notes += (dropped(known, data.terminated),)
-        data = data[np.flatnonzero(known)]
-    for number, agent in enumerate(team.agents):
-        if problem := choice_problem(data.of_agent(number), agent.choices):
-            raise UserError(f"{vault.folder}: {agent.name}: {problem}")
-    actions, said = clipped(data.actions, team)
-    data, notes = replace(data, actions=actions), notes + said + _left(fields, vault.names)
+    left = kept(data, begun, known, team, str(vault.folder))
+    others = sorted(from_text(name) for name in set(vault.names) - fields.taken)
+    notes += left.notes + left_out("arrays", others)
     origin = f"recorded in {named}" if named else f"the vault names no environment: {team.env_id}"
     recipe = {"vault": "/".join(vault.folder.resolve().parts[-2:]), "sha256": vault.sha256()}
     made = Provenance(
         f"imported from the vault {recipe['vault']}",
         recipe,
         versions("tensorstore"),
-        returns,
-        incomplete,
+        left.returns,
+        left.incomplete,
         (origin, *notes),
     )
-    return Found(team, data, made)
+    return Found(team, left.data, made)
 
 
 def _environment(about: object) -> str:
@@ -154,23 +139,7 @@ def _observations(
 
 def _begun(fields: Fields, data: JointTransitions) -> Bool:
     """Whether each row's episode is there from its first step (T,)."""
-    places = [fields.shared(f"infos.{name}") for name in ("log", "copy", "step")]
     starts = np.flatnonzero(np.diff(data.episodes, prepend=-1))
-    lengths = np.diff(starts, append=len(data))
-    if any(place is None or place.dtype.kind not in "iu" for place in places):
-        return np.ones(len(data), np.bool_)
-    beginnings, ends = EpisodeStarts(), data.terminated | data.truncated
-    whole = []
-    for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
-        log, copy, step = (int(place[start]) for place in places if place is not None)
-        whole.append(beginnings.has((log, copy, step), length, bool(ends[start + length - 1])))
-    return np.repeat(np.array(whole, np.bool_), lengths)
-
-
-def _left(fields: Fields, names: Sequence[str]) -> tuple[str, ...]:
-    """In words, which of the arrays of these `names` were not taken."""
-    left = sorted(from_text(name) for name in set(names) - fields.taken)
-    if not left:
-        return ()
-    more = f" and {len(left) - _MOST_NAMES} more" if len(left) > _MOST_NAMES else ""
-    return (f"not taken from the vault: {', '.join(left[:_MOST_NAMES])}{more}",)
+    places = [fields.shared(f"infos.{name}") for name in ("log", "copy", "step")]
+    found = [place[starts] for place in places if place is not None and place.dtype.kind in "iu"]
+    return begun_episodes(data, found if len(found) == len(places) else None)

@@ -11,7 +11,6 @@ step is dropped too: it leads from the last observation of an episode to the fir
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +18,16 @@ from numpy.typing import NDArray
 
 from otc_dist.datasets import rosbag
 from otc_dist.datasets.card import file_sha256
-from otc_dist.datasets.found import Found, team_returns
+from otc_dist.datasets.found import Found, kept, left_out
 from otc_dist.datasets.joint import JointTransitions
-from otc_dist.datasets.recording import clipped, flags, numbers
+from otc_dist.datasets.recording import flags, numbers
 from otc_dist.datasets.ros_mapping import Mapping, Numbers
 from otc_dist.datasets.rosbag import Bag
 from otc_dist.datasets.writing import Provenance, versions
 from otc_dist.envs import registry
 from otc_dist.spec import TeamSpec
 from otc_dist.terminal.errors import UserError
-from otc_dist.transitions import Bool, Float32, choice_problem
-
-_MOST_NAMES = 8  # of topics that are not taken, in a note
+from otc_dist.transitions import Bool, Float32
 
 
 def read(source: Path, mapping_file: Path, env_id: str) -> Found:
@@ -50,24 +47,18 @@ def read(source: Path, mapping_file: Path, env_id: str) -> Found:
     files = rosbag.files_of(source)
     bag = rosbag.read(files, mapping.numbers, mapping.clock)
     data, begun, notes = _Steps(bag, mapping, team, str(source)).data()
-    returns, incomplete = team_returns(data, begun, env_id)
-    for number, agent in enumerate(team.agents):
-        if problem := choice_problem(data.of_agent(number), agent.choices):
-            raise UserError(f"{source}: {agent.name}: {problem}")
-    actions, said = clipped(data.actions, team)
-    if bag.others:
-        more = ", ..." if len(bag.others) > _MOST_NAMES else ""
-        said += (f"topics not taken: {', '.join(bag.others[:_MOST_NAMES])}{more}",)
+    left = kept(data, begun, np.ones(len(data), np.bool_), team, str(source))
+    notes += left.notes + left_out("topics", bag.others)
     recipe = {path.name: file_sha256(path) for path in (*files, mapping_file)}
     made = Provenance(
         f"imported from the ROS 2 recording {source.name}",
         recipe,
         versions("mcap", "mcap-ros2-support"),
-        returns,
-        incomplete,
-        notes + said,
+        left.returns,
+        left.incomplete,
+        notes,
     )
-    return Found(team, replace(data, actions=actions), made)
+    return Found(team, left.data, made)
 
 
 class _Steps:

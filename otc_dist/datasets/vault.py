@@ -11,7 +11,6 @@ The time axis is 10^13 long, of which the first `vault_index` steps were written
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from hashlib import sha256
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from otc_dist.datasets.card import file_sha256
+from otc_dist.datasets.stored import files_sha256, most, regular_files
 from otc_dist.system.extras import install
 from otc_dist.terminal.errors import UserError
 
@@ -30,8 +29,6 @@ METADATA, MANIFEST, INDEX = "metadata.json", "manifest.ocdbt", "vault_index"
 FLASHBAX_MAJOR = 1
 _LARGEST_METADATA = 2**24  # bytes
 _LARGEST_CHUNK = 2**26  # bytes; Flashbax's take about 2^22
-_LARGEST_RATIO = 1100  # of the bytes of all arrays to those of the files: Deflate's is 1,032
-_UNSTORED = 2**16  # bytes that need not be stored, as those of arrays of zeros
 _COMPRESSORS = ("gzip", "zlib", "blosc")  # none that makes more of a byte than Deflate does
 
 
@@ -61,9 +58,8 @@ class Vault:
         metadata = _metadata(self.folder)
         self.names = tuple(_leaves(metadata.get("structure_shape"), self.folder))
         self.about: object = metadata.get("otc_dist")  # of our own exports
-        self._left = _UNSTORED + _LARGEST_RATIO * sum(
-            path.stat().st_size for path in _files(self.folder)
-        )
+        files = regular_files(self.folder)
+        self._left = most(sum(path.stat().st_size for path in files))  # bytes
         index = self._open(INDEX)
         with self._damage(INDEX):
             if index.shape != (1,) or index.dtype.numpy_dtype.kind not in "iu":
@@ -101,11 +97,7 @@ class Vault:
 
     def sha256(self) -> str:
         """Of all files, by their names."""
-        digest = sha256()
-        for path in _files(self.folder):
-            name = path.relative_to(self.folder).as_posix()
-            digest.update(f"{name} {file_sha256(path)}\n".encode(errors="surrogateescape"))
-        return digest.hexdigest()
+        return files_sha256(self.folder, regular_files(self.folder))
 
     def _open(self, name: str) -> "tensorstore.TensorStore":
         base = {"driver": "file", "path": f"{self.folder.resolve()}/"}
@@ -172,7 +164,3 @@ def _leaves(tree: object, folder: Path) -> Iterator[str]:
             waiting += [(f"{name}.{field}" if name else field, f) for field, f in found.items()]
         else:
             yield name
-
-
-def _files(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if p.is_file() and not p.is_symlink())

@@ -87,7 +87,7 @@ def test_a_vault_that_flashbax_wrote_is_read_without_it(tmp_path: Path) -> None:
         "the vault names no environment: 5m_vs_6m",
         "4 transitions were dropped: the file lacks their true successor; 3 of them terminated, "
         "0 that terminated are left, so learners cannot see that falling ends an episode",
-        "not taken from the vault: infos.state",
+        "arrays not taken: infos.state",
     )
     assert card.recipe["vault"] == "5m_vs_6m.vlt/Good"
     assert import_files([tmp_path / "5m_vs_6m.vlt" / "Good"], "mine", "5m_vs_6m") == card
@@ -171,6 +171,19 @@ def test_an_agent_that_ends_before_the_others_is_told(tmp_path: Path) -> None:
     terminals[0, 2:5, 1] = True
     card, _ = taken(write_vault(tmp_path / "a", {**held, "terminals": terminals}), "hopper-3x1")
     assert "in 3 steps some agents had ended, and the team had not" in card.notes
+
+
+def test_successors_of_ours_are_taken_and_steps_that_did_not_happen_are_not(tmp_path: Path) -> None:
+    held = hoppers()
+    after = held["observations"] + 1
+    held["truncations"] = held["truncations"] | held["terminals"]  # the simulator broke off
+    held["infos"]["next_observations"] = after
+    card, joint = taken(write_vault(tmp_path / "a", held), "hopper-3x1")
+    broken = [5, 17, 29]
+    assert "without 3 steps whose simulator broke off" in card.notes
+    assert (card.transitions, card.terminated, card.truncated) == (27, 0, 2)
+    kept = np.delete(np.arange(ROWS), broken)
+    np.testing.assert_array_equal(joint.next_observations[1], after[0, kept, 1])
 
 
 def changed(**fields: object) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from .recorded import Arrays, Deployments
 
 FORMATS = tuple(READERS)
 AGENTS = ("agent_0", "agent_1", "agent_2")
+JOINT = [("minari", "joint-v0"), ("vault", "joint.vlt"), ("lerobot", "joint")]  # can be imported
 
 
 def same_bits(found: Arrays, expected: Arrays) -> None:
@@ -142,7 +143,7 @@ def rows(data: JointTransitions) -> list[bytes]:
     return sorted(row.tobytes() for row in np.concatenate(columns, axis=1))
 
 
-@pytest.mark.parametrize(("form", "place"), [("minari", "joint-v0"), ("vault", "joint.vlt")])
+@pytest.mark.parametrize(("form", "place"), JOINT)
 @pytest.mark.parametrize("env_id", ["hopper-3x1", "5m_vs_6m", "simple"])
 def test_a_joint_set_is_imported_like_the_logs_it_was_made_of(
     replay: Replay,
@@ -176,6 +177,7 @@ def test_a_joint_set_is_imported_like_the_logs_it_was_made_of(
     [
         ("vault", "joint.vlt", "hopper-3x1"),
         ("vault", "joint.vlt", "5m_vs_6m"),
+        ("lerobot", "joint", "hopper-3x1"),
         ("minari", "joint-v0", "hopper-3x1"),
     ],
 )
@@ -214,7 +216,7 @@ def test_a_data_set_that_cannot_be_exported_is_refused_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("form", "place"), [("minari", "joint-v0"), ("vault", "joint.vlt")])
+@pytest.mark.parametrize(("form", "place"), JOINT)
 def test_episodes_whose_beginning_was_not_exported_count_as_cut(
     hopper: Deployments,
     replay: Replay,
