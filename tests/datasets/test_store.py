@@ -177,7 +177,7 @@ def test_who_waits_for_a_set_says_for_whom_and_gives_up_if_that_one_stands_still
     cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, holder: str
 ) -> None:
     monkeypatch.setattr(writing, "_PATIENCE", 1.0)
-    monkeypatch.setattr(writing, "_TELL_EVERY", 0.5)
+    monkeypatch.setattr(writing, "_LOG_EVERY", 0.5)
     command = [sys.executable, "-c", HOLD.format(holder), NAME]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as held:
         try:
