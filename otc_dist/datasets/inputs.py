@@ -69,8 +69,8 @@ def check(noted: Digests, found: Digests, description: Description) -> None:
             continue
         if name.startswith(_SOURCE):
             raise UserError(
-                f"{name.removeprefix(_SOURCE)}, which {description.env.id} loads, is another than"
-                " when the run began: restore it, or start a new run"
+                f"{name.removeprefix(_SOURCE)}, which {description.env.id} loads, has changed"
+                " since the run began: restore it, or start a new run"
             )
         if name.startswith(_CODE):
             reference, _, path = name.removeprefix(_CODE).rpartition(": ")

@@ -99,6 +99,7 @@ _ONLY_FOR = {
     "steps": _PARTS,
     "agent": _PARTS,
     "episode": (*_PARTS, "--foxglove"),
+    "transitions": ("--export",),
     "accept_unbound": ("--verify",),
     "run": ("--publish",),
     "rate": ("--publish",),
@@ -167,6 +168,10 @@ def command_line() -> Parser:
     part.add_argument("--episode", type=int, metavar="N", help="one episode, counted from 0")
     part.add_argument(
         "--agent", action="append", metavar="NAME", help="one agent; may be given again"
+    )
+
+    part.add_argument(
+        "--transitions", type=int, metavar="N", help="of a data set: its size, if not the usual one"
     )
 
     check = parser.add_argument_group("how strictly it is verified")

@@ -58,15 +58,17 @@ def test_results_are_those_of_this_machine(
     tiny_flags: tuple[str, ...],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))  # nothing is there yet
     out = tmp_path / "by slurm"
     flags = ["--arms", "otc-embedding", "--seeds", "0", "--out", str(out), "--quick", *tiny_flags]
     queued = ["3agent_hopper", *flags, "--on", "slurm", "--slurm", "time=0:30:00"]
     assert command.main(queued) == 0
     said = capsys.readouterr().out
-    assert "7 jobs submitted; --status shows them" in said and "no seed is complete" in said
+    assert "8 jobs submitted; --status shows them" in said and "no seed is complete" in said
     assert command.main(queued) == 0
-    assert "0 jobs submitted; 7 were in the queue before" in capsys.readouterr().out
+    assert "0 jobs submitted; 8 were in the queue before" in capsys.readouterr().out
     assert command.main([*queued, "--status"]) == 0
     assert "of 8 jobs are done" in capsys.readouterr().out
     wait(environment)

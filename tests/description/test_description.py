@@ -222,6 +222,7 @@ OTHER = {
     "offline.rows": "typical",
     "offline.share": 0.5,
     "bus.router": "tls/192.0.2.1:7447",
+    "engine.products": "torch",
 }
 OFFLINE = (
     "seed",
@@ -254,7 +255,7 @@ def test_digests_depend_on_every_setting_and_the_offline_one_on_its_own(path: st
         value = 0.5
     after = before.with_assignments(f"{path}={json.dumps(value)}")
     assert (after.digest() != before.digest()) is (path != "bus.router")
-    hosts_agree = path in ("bus.router", "engine.name")
+    hosts_agree = path in ("bus.router", "engine.name", "engine.products")
     assert (after.shared_digest() == before.shared_digest()) is hosts_agree
     later = {f"deployment.{key}" for key in ("count", "keep", "confirm", "floor", "approve")}
     assert (after.tuning_digest() == before.tuning_digest()) is (path in {"bus.router", *later})

@@ -213,6 +213,8 @@ def test_a_data_set_that_cannot_be_exported_is_refused_in_one_line(
     store.ensure("hopper-3x1/random", 5)
     assert "--steps is for logs" in refused("hopper-3x1/random", *out, "--steps", "1:2")
     assert "has no agent 'x'" in refused("hopper-3x1/random", *out, "--agent", "x")
+    other = ("--transitions", "6")
+    assert "with 6 transitions is not in the cache" in refused("hopper-3x1/random", *out, *other)
     assert not (tmp_path / "out").exists()
 
 

@@ -55,12 +55,14 @@ def parts_of(arguments: argparse.Namespace) -> tuple[str, Sequence[Part]]:
     """
     name = _data_set(arguments.files)
     if name is None:
+        if arguments.transitions is not None:
+            raise UserError("--transitions is a data set's size; of a log, choose --steps")
         headers = {path: read_header(path) for path in arguments.files}
         return "logs", [_log(path, arguments) for path in in_order(headers)]
     for flag in ("steps", "episode"):
         if getattr(arguments, flag) is not None:
             raise UserError(f"--{flag} is for logs; all of {name} is exported")
-    card = store.cached(str(name))
+    card = store.cached(str(name), arguments.transitions or 0)
     # A set has no states of the simulator.
     team = replace(registry.team_spec(name.env_id), state_size=0)
     return "data_set", [_Set(card, team, chosen_agents(arguments, team.names, str(name)))]
