@@ -52,8 +52,7 @@ def import_files(
         raise UserError(
             f"{first} is not a deployment log, and only logs are joined: import it alone"
         )
-    if not level:
-        raise UserError(f"name the data of {first}, for example --name mine")
+    _ask_for_name(first, level)
     return import_file(first, level, env_id)
 
 
@@ -116,6 +115,7 @@ def import_recording(
     """
     if len(sources) > 1:
         raise UserError("a mapping file is for one recording: a file, or the folder of its files")
+    _ask_for_name(sources[0], level)
     _check_level(level)
     return _named(ros_import.read(sources[0], mapping, env_id), sources[0], level)
 
@@ -139,6 +139,11 @@ def _publish(name: DatasetName, data: JointTransitions, made: Provenance) -> Dat
                 f"choose another --name, or delete {name.folder}"
             )
         return card
+
+
+def _ask_for_name(source: Path, level: str) -> None:
+    if not level:
+        raise UserError(f"name the data of {source}, for example --name mine")
 
 
 def _check_level(level: str) -> None:

@@ -251,6 +251,10 @@ def test_values_and_times_that_cannot_be_are_refused(tmp_path: Path) -> None:
     message = refusal(grows.write(tmp_path / "c.mcap"), mapped(tmp_path))
     assert "position of /joints has 9 numbers in message 3, and 5 in the first one" in message
     assert "with --env" in refusal(tmp_path / "a.mcap", mapped(tmp_path), "")
+    both = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for paths, level, message in ((both, "mine", "for one recording"), (both[:1], "", "--name")):
+        with pytest.raises(UserError, match=message):
+            import_files(paths, level, "hopper-3x1", mapping=mapped(tmp_path))
 
 
 def test_without_the_library_the_extra_is_named(
