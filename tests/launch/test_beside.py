@@ -52,6 +52,13 @@ def test_a_port_that_is_taken_is_one_line_before_anything_is_made(
         (["--prometheus", "::1:9400"], "'::1:9400' is no HOST:PORT"),
         (["--prometheus", "no.such.host.invalid:9400"], "cannot listen at no.such.host"),
         (["--track", "mlfow"], "invalid choice: 'mlfow'"),
+        (
+            [
+                *("--role", "learner", "--agent", "agent_0", "--connect", "tcp/127.0.0.1:7447"),
+                *("--insecure", "--prometheus", "9400"),
+            ],
+            "--prometheus is for where the env host is",
+        ),
     ],
 )
 def test_what_is_asked_for_wrongly_is_one_line(flags: list[str], says: str) -> None:

@@ -85,8 +85,13 @@ def test_a_run_that_is_stopped_in_every_way_leaves_no_process_and_ends_the_same(
         asked = beside.get(number, ())
         launcher = launch(*command, *asked, hold=hold)
         launcher.read_until(lambda status, line=line: status.startswith(line))
-        children = list(processes_of(folder.root).values())
+        running = processes_of(folder.root)
+        children = list(running.values())
         assert len(children) == 4 + ("--track" in asked)
+        if number == 0:
+            (tracker,) = (pid for words, pid in running.items() if "otc_dist.track" in words)
+            os.kill(tracker, signal.SIGKILL)
+            launcher.read_until(lambda line: line.startswith("tracking: was killed by SIGKILL; "))
         if "--prometheus" in asked:
             found = scraped(port)
             assert found["otc_phase", "deployment"] == found["otc_deployment", ""] == 1
