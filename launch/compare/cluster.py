@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.parser import Parser
@@ -11,6 +12,8 @@ from otc_dist.terminal.printable import aligned, say
 from ..supervise import slurm
 from ..supervise.jobs import Job
 from ..supervise.processes import MISTAKE
+
+_SOON = 3.0  # seconds
 
 
 def add_flags(parser: Parser) -> None:
@@ -49,13 +52,33 @@ def submit(jobs: Sequence[Job], wanted: Sequence[str]) -> int:
     Raises:
         UserError: SLURM does not answer, or refuses the first of these jobs.
     """
-    count, refused = slurm.submit(jobs, wanted)
-    waiting = sum(not job.done for job in jobs) - count - bool(refused)
-    before = "" if refused or not waiting else f"; {waiting} were in the queue before"
-    print(f"{count} jobs submitted{before}; --status shows them, the same command what is complete")
-    if refused:
-        say(f"error: {refused}; the same command submits the rest", file=sys.stderr)
-    return MISTAKE if refused else 0
+    made = slurm.submit(jobs, wanted)
+    say(*(f"{line}; submitted again" for line in made.ended))
+    before = f"; {made.before} were in the queue before" if made.before else ""
+    number = f"{made.new} job{'' if made.new == 1 else 's'}"
+    print(f"{number} submitted{before}; --status shows them, the same command what is complete")
+    if made.refused:
+        say(f"error: {made.refused}; the same command submits the rest", file=sys.stderr)
+    return MISTAKE if made.refused else 0
+
+
+def keep_out(jobs: Sequence[Job], folder: Path) -> None:
+    """See that no job that is to be done here is in the queue. Raises UserError if one is.
+
+    Where no SLURM answers soon there is nothing to see; two that make the same waste time only.
+    """
+    left = [job.product for job in jobs if not job.done and job.product.is_relative_to(folder)]
+    if not left:
+        return
+    try:
+        queued = slurm.queue(_SOON)
+    except UserError:
+        return
+    if ids := [queued[product].id for product in left if product in queued]:
+        raise UserError(
+            f"SLURM's queue has {len(ids)} of these jobs: add --on slurm, or take them out of it"
+            f" first: scancel {' '.join(ids)}"
+        )
 
 
 def show(jobs: Sequence[Job]) -> None:

@@ -115,6 +115,7 @@ def _compare(
         status = cluster.submit(jobs, queue) if left else 0
         _conclude(folder, base, arms, seeds, quick, results)
         return status
+    cluster.keep_out(jobs, folder.root)
     complete = len(_complete(folder, arms, seeds))
 
     def finished(job: Job) -> None:

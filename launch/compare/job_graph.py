@@ -31,7 +31,8 @@ MODULE = (sys.executable, "-m")
 def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
     """The folder, held against other launchers, with `base` as its description.
 
-    If what is done in it is refused before any job is done, it is taken away again.
+    If it is new, and what is done in it is refused before any job is done, it is taken away again.
+    One that was begun before may have its jobs in a queue.
 
     Raises:
         UserError: it is held, cannot be written, or is of another description or other data.
@@ -45,7 +46,7 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
             f"{folder.root} is the folder of a run, not of a comparison; use another --out"
         )
     with run_record.locked(RunFolder(folder.root)):
-        if folder.description.exists():
+        if begun := folder.description.exists():
             _same(Description.load(folder.description), base, folder)
         elif any(path.name != ".lock" for path in folder.root.iterdir()):
             raise UserError(f"{folder.root} holds something else; use another --out")
@@ -55,7 +56,8 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
             note_inputs(folder, base)
             yield
         except UserError:
-            take_away(folder.root)
+            if not begun:
+                take_away(folder.root)
             raise
 
 

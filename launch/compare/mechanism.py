@@ -62,10 +62,12 @@ def main(argv: list[str]) -> int:
         cluster.show(jobs)
         return 0
     # A comparison may be at work in the folder: it is ours only if something must be trained.
-    trained = all(job.done for job in jobs[: -len(seeds)])
+    # Nor do two submit the same jobs.
+    trained = queue is None and all(job.done for job in jobs[: -len(seeds)])
     with nullcontext() if trained else job_graph.opened(folder, base):
         if queue is not None and not all(job.done for job in jobs):
             return cluster.submit(jobs, queue)
+        cluster.keep_out(jobs, folder.root)
         try:
             run_jobs(jobs, cores(), lambda job: None, base.bus.answer_deadline)
         except FailedError as failed:

@@ -12,7 +12,9 @@ from typing import Any
 
 from otc_dist import __version__
 from otc_dist.bus.keys import HOST
+from otc_dist.datasets.names import DatasetName
 from otc_dist.description import Description
+from otc_dist.names import is_code
 from otc_dist.spec import TeamSpec
 from otc_dist.system import extras
 from otc_dist.terminal.errors import UserError
@@ -35,13 +37,15 @@ def text(arguments: argparse.Namespace, chosen: Description, team: TeamSpec) -> 
     """All manifests as YAML, and before them, as comments, what makes the certificates' secrets.
 
     Raises:
-        UserError: names that Kubernetes does not take, or PyYAML is not installed.
+        UserError: names that Kubernetes does not take, what a pod has not, or PyYAML is not
+            installed.
     """
     try:
         import yaml
     except ImportError:
         raise UserError(f"--on kubernetes needs PyYAML: {extras.install('kubernetes')}") from None
-    run = _name(f"{chosen.name}-seed{chosen.seed}")
+    _check(chosen, arguments.image)
+    run = _name("otc", f"{chosen.name}-seed{chosen.seed}")  # a Service's begins with a letter
     pods = {process: _name(run, process) for process in (HOST, *team.names)}
     for process, pod in pods.items():
         if len(f"{pod}-0") > _LONGEST or list(pods.values()).count(pod) > 1:
@@ -64,10 +68,25 @@ def text(arguments: argparse.Namespace, chosen: Description, team: TeamSpec) -> 
         if not arguments.insecure:
             secret = {"secretName": pod, "defaultMode": 0o400}
             mounted.append(("certs", {"secret": secret}, f"{_CERTIFICATES}/{part.name}"))
-        made += [_volume(run, pod), _job(run, pod, part.command, arguments.image, mounted)]
+        container = _container(part.command, arguments.image, chosen.engine.name == "cuda-graph")
+        made += [_volume(run, pod), _job(run, pod, container, mounted)]
     lines = [] if arguments.insecure else list(_secrets(pods, address))
     documents: str = yaml.safe_dump_all(made, sort_keys=False, width=100)
     return "\n".join([*lines, documents.rstrip("\n")])
+
+
+def _check(chosen: Description, image: str) -> None:
+    """Raises UserError for what a pod would miss."""
+    if image == IMAGE and (code := [*filter(is_code, chosen.code)]):
+        raise UserError(
+            f"{code[0]} is code of your own, and the image {image} has ours alone: build one from"
+            " it that has yours, and name it with --image"
+        )
+    if not DatasetName.parse(chosen.dataset.name).source:
+        raise UserError(
+            f"the data set {chosen.dataset.name} was imported here, and pods only have what they"
+            " make: use another, or --hosts"
+        )
 
 
 def _name(*parts: str) -> str:
@@ -123,28 +142,32 @@ def _description(run: str, text: str) -> Manifest:
     }
 
 
+def _container(command: str, image: str, gpu: bool) -> Manifest:
+    limits = {"memory": "4Gi"} | ({"nvidia.com/gpu": "1"} if gpu else {})
+    return {
+        "name": "otc-dist",
+        "image": image,
+        # Kubernetes replaces $(NAME), and takes $$ for one $.
+        "command": ["sh", "-c", f"exec {command}".replace("$", "$$")],
+        "workingDir": _HOME,
+        "env": [{"name": "OTC_DIST_CACHE", "value": f"{_HOME}/cache"}],
+        "resources": {"requests": {"cpu": "1", "memory": "1Gi"}, "limits": limits},
+    }
+
+
 def _job(
     run: str,
     pod: str,
-    command: str,
-    image: str,
+    container: Manifest,
     mounted: Sequence[tuple[str, Manifest, str]],  # name, what, and where
 ) -> Manifest:
-    container = {
-        "name": "otc-dist",
-        "image": image,
-        "command": ["sh", "-c", f"exec {command}"],
-        "workingDir": _HOME,
-        "env": [{"name": "OTC_DIST_CACHE", "value": f"{_HOME}/cache"}],
-        "resources": {"requests": {"cpu": "1", "memory": "1Gi"}, "limits": {"memory": "4Gi"}},
-        "volumeMounts": [{"name": name, "mountPath": path} for name, _, path in mounted],
-    }
+    mounts = [{"name": name, "mountPath": path} for name, _, path in mounted]
     template = {
         "metadata": {"labels": _labels(run)},
         "spec": {
             "subdomain": run,
             "restartPolicy": "OnFailure",
-            "containers": [container],
+            "containers": [container | {"volumeMounts": mounts}],
             "volumes": [{"name": name, **what} for name, what, _ in mounted],
         },
     }

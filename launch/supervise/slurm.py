@@ -9,21 +9,24 @@ import re
 import shlex
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.printable import printable
 
 from .jobs import Job
-from .supervisor import End
+from .supervisor import SETTINGS, End
 
 _ANSWER = 60.0  # seconds that a busy controller may take
-# What ties a job to its product and to what it needs.
+# What ties a job to its product and to what it needs. SLURM takes the first letters of each, too.
 _OURS = (
     *("chdir", "comment", "dependency", "error", "job-name", "kill-on-invalid-dep", "output"),
-    *("array", "parsable", "wait", "wrap"),
+    *("array", "clusters", "parsable", "wait", "wrap"),
 )
+# A job's number, state, reason and comment. Comments of other jobs may hold line breaks.
+_LINE = re.compile(r"([^|]+)\|([A-Z_]+)\|([^|]*)\|(.*)")
+_HOPELESS = "DependencyNeverSatisfied"  # why a job waits whose end SLURM has not noted yet
 
 
 @dataclass(frozen=True)
@@ -49,57 +52,87 @@ def options(texts: Sequence[str]) -> tuple[str, ...]:
     for text in texts:
         if not re.fullmatch(r"[a-z][a-z-]*=[^\n\0]+", text):
             raise UserError(f"--slurm {printable(text)}: write key=value, like time=4:00:00")
-        if (key := text.partition("=")[0]) in _OURS:
-            raise UserError(f"--slurm {key} is set for every job by what it needs and makes")
+        key = text.partition("=")[0]
+        if any(name.startswith(key) for name in _OURS):
+            raise UserError(f"--slurm {key} would part the jobs from what they need and make")
         found.append(f"--{text}")
     return tuple(found)
 
 
-def queue() -> dict[Path, Queued]:
-    """The user's jobs that wait or run, by their products. UserError if SLURM does not answer."""
-    lines = _ask(["squeue", "--me", "--noheader", "--array", "--format=%i|%T|%r|%k"]).splitlines()
+def queue(patience: float = _ANSWER) -> dict[Path, Queued]:
+    """The user's jobs that wait or run, by their products.
+
+    Args:
+        patience: seconds that SLURM may take.
+
+    Raises:
+        UserError: there is no SLURM here, or it does not answer.
+    """
+    command = ("squeue", "--me", "--noheader", "--array", "--format=%i|%T|%r|%k")
     found = {}
-    for line in lines:
-        number, state, reason, product = line.split("|", 3)
-        found[Path(product)] = Queued(number, state, reason)
+    for line in filter(None, map(_LINE.fullmatch, _ask(command, patience).split("\n"))):
+        number, state, reason, product = line.groups()
+        if reason != _HOPELESS:
+            found[Path(product)] = Queued(number, state, reason)
     return found
 
 
 def nodes() -> list[str]:
     """The nodes of the allocation that this process is in. UserError if SLURM does not say."""
-    return _ask(["scontrol", "show", "hostnames"]).split()
+    if not (found := _ask(["scontrol", "show", "hostnames"]).split()):
+        raise UserError("SLURM does not say which nodes this allocation has (SLURM_JOB_NODELIST)")
+    return found
 
 
-def submit(jobs: Sequence[Job], wanted: Sequence[str]) -> tuple[int, str]:
+@dataclass
+class Submission:
+    """What became of jobs that were to be submitted.
+
+    Attributes:
+        new: how many were.
+        before: how many were in the queue already.
+        ended: of the new ones that ran before, in words, how they ended.
+        refused: which was not taken, and why; "": all were.
+    """
+
+    new: int = 0
+    before: int = 0
+    ended: list[str] = field(default_factory=list)
+    refused: str = ""
+
+
+def submit(jobs: Sequence[Job], wanted: Sequence[str]) -> Submission:
     """Submit the jobs that are neither done nor in the queue.
 
     Args:
         jobs: each after those that it needs.
         wanted: options of sbatch for every job, from `options`.
 
-    Returns:
-        how many were submitted, and what was refused after them; "": nothing was.
-
     Raises:
-        UserError: there is no SLURM here, or it refuses a job when none of them is in the queue.
+        UserError: there is no SLURM here, it refuses a job when none of them is in the queue, or
+            it cannot work with the name of their folder.
     """
+    for path in (path for job in jobs for path in (job.product, job.output)):
+        if "\\" in str(path) or not str(path).isprintable():
+            raise UserError(f"SLURM cannot take {path} as a job's: its name has a control or a \\")
     ids = {product: job.id for product, job in queue().items()}
-    ours = sum(job.product in ids for job in jobs)
-    count = 0
+    made = Submission(before=sum(job.product in ids for job in jobs))
     for job in jobs:
         if job.done or job.product in ids:
             continue
+        ended = _ended(job)
         job.output.parent.mkdir(parents=True, exist_ok=True)
         after = [ids[need] for need in job.needs if need in ids]
         try:
             ids[job.product] = _ask(_sbatch(job, after, wanted)).strip().partition(";")[0]
         except UserError as error:
-            refused = f"{job.name}: {error}"
-            if count or ours:
-                return count, refused
-            raise UserError(refused) from None
-        count += 1
-    return count, ""
+            made.refused = f"{job.name}: {error}"
+            if made.new or made.before:
+                return made
+            raise UserError(made.refused) from None
+        made.new += 1
+        made.ended += [f"{job.name} {ended}"] if ended else []
+    return made
 
 
 def status(jobs: Sequence[Job]) -> Iterator[tuple[str, str]]:
@@ -113,32 +146,50 @@ def status(jobs: Sequence[Job]) -> Iterator[tuple[str, str]]:
 def _where(job: Job, queued: Mapping[Path, Queued]) -> str:
     if found := queued.get(job.product):
         return str(found)
-    if lines := End(job.name, 1, job.output).last_lines():
-        return f"ended without its product; its last line: {lines[-1]}"
-    return "not in the queue"
+    return _ended(job) or "not in the queue"
+
+
+def _ended(job: Job) -> str:
+    """How a job ended that is neither done nor in the queue; "": it never ran."""
+    if not job.output.exists():
+        return ""
+    last = [line for line in End(job.name, 1, job.output).last_lines() if line.strip()][-1:]
+    return (
+        f"ended without its product; {f'its last line: {last[0]}' if last else 'it said nothing'}"
+    )
 
 
 def _sbatch(job: Job, after: Sequence[str], wanted: Sequence[str]) -> list[str]:
+    settings = (f"{name}={value}" for name, value in SETTINGS.items())
     needs = (f"--dependency=afterok:{':'.join(after)}", "--kill-on-invalid-dep=yes")
     return [
         *("sbatch", "--parsable", "--requeue", "--cpus-per-task=1", *wanted),
         *(f"--job-name={job.name}", f"--comment={job.product}"),
         f"--output={str(job.output).replace('%', '%%')}",
         *(needs if after else ()),
-        f"--wrap={shlex.join(job.command)}",
+        f"--wrap={shlex.join(('exec', 'env', *settings, *job.command))}",
     ]
 
 
-def _ask(command: Sequence[str]) -> str:
+def _ask(command: Sequence[str], patience: float = _ANSWER) -> str:
     """What a command of SLURM's prints. UserError: there is none, or it refuses."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_ANSWER, check=False)
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            encoding="utf-8",
+            errors="surrogateescape",
+            timeout=patience,
+            check=False,
+        )
     except FileNotFoundError:
         raise UserError(f"there is no SLURM on this machine: {command[0]} is not found") from None
     except subprocess.TimeoutExpired:
-        raise UserError(f"SLURM's {command[0]} gave no answer in {_ANSWER:.0f} s") from None
+        raise UserError(f"SLURM's {command[0]} gave no answer in {patience:g} s") from None
     if done.returncode != 0:
         lines = [line for line in done.stderr.splitlines() if line.strip()]
-        first = lines[0] if lines else f"exit status {done.returncode}"
+        # A cluster may greet before it says what is wrong.
+        wrong = [line for line in lines if "error:" in line]
+        first = (wrong or lines or [f"exit status {done.returncode}"])[0]
         raise UserError(f"SLURM refuses: {printable(first)}")
     return done.stdout

@@ -22,6 +22,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_
 # What glibc may keep of memory that was freed. Left alone, it raises both bounds as it goes, and a
 # learner holds tens of megabytes that it once needed; lower ones cost time at every update.
 FRUGAL = {"MALLOC_TRIM_THRESHOLD_": str(16 * 2**20), "MALLOC_MMAP_THRESHOLD_": str(4 * 2**20)}
+SETTINGS = {**ONE_THREAD, **FRUGAL, "PYTHONUNBUFFERED": "1"}  # of every process's environment
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ class Supervisor:
                 stdin=subprocess.DEVNULL,
                 stdout=sink,
                 stderr=None if sink is None or show_errors else subprocess.STDOUT,
-                env={**os.environ, **ONE_THREAD, **FRUGAL, "PYTHONUNBUFFERED": "1"},
+                env={**os.environ, **SETTINGS},
                 process_group=0,
                 preexec_fn=die_with_parent(),
             )

@@ -1,16 +1,20 @@
 """A comparison's jobs in the queue of a real SLURM, and what is said where it refuses them."""
 
 import json
+import shlex
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from otc_dist.comparison.scores import ComparisonFolder
-from otc_dist.launch.compare import command
+from otc_dist.launch.compare import command, mechanism
+from otc_dist.launch.plan import run_record
 from otc_dist.launch.supervise import slurm
 from otc_dist.launch.supervise.jobs import Job
+from otc_dist.launch.supervise.slurm import Submission
+from otc_dist.run.folder import RunFolder
 from otc_dist.terminal.errors import UserError
 
 from ..launch.slurm_node import cluster
@@ -33,8 +37,9 @@ def jobs(folder: Path, *, first: str = "true") -> list[Job]:
     """Three, of which the second needs the first and the third the second."""
     names, made = ("first", "second", "third"), []
     for name in names:
-        product = folder / f"{name} | of % all"
-        work = f"echo {name}; {first if name == 'first' else 'true'} && touch '{product}'"
+        product = folder / f"{name} | of % 'ünï ☃'"
+        work = f"echo {name} $OMP_NUM_THREADS; {first if name == 'first' else 'true'} && touch"
+        work += f" {shlex.quote(str(product))}"
         needs = (made[-1].product,) if made else ()
         made.append(Job(name, ("sh", "-c", work), product, folder / "out %j" / name, needs))
     return made
@@ -71,6 +76,12 @@ def test_results_are_those_of_this_machine(
     assert "0 jobs submitted; 8 were in the queue before" in capsys.readouterr().out
     assert command.main([*queued, "--status"]) == 0
     assert "of 8 jobs are done" in capsys.readouterr().out
+    with pytest.raises(UserError, match=r"of these jobs: add --on slurm, or .*: scancel \d+"):
+        command.main(["3agent_hopper", *flags])
+    with monkeypatch.context() as patch, pytest.raises(UserError, match="no SLURM on this"):
+        patch.setenv("PATH", str(tmp_path))
+        command.main(queued)
+    assert (out / "description.toml").exists()  # which those in the queue read
     wait(environment)
     assert command.main(queued) == 0
     assert "8 jobs, 0 of them to do" in (said := capsys.readouterr().out)
@@ -87,11 +98,14 @@ def test_results_are_those_of_this_machine(
 
 @pytest.mark.slow
 def test_what_was_ended_before_its_time_is_submitted_again(
-    here: None, environment: dict[str, str], tmp_path: Path
+    here: None, environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")  # the user's, and no job's
     stuck = jobs(tmp_path, first="sleep 1000")
-    assert slurm.submit(stuck, ()) == (3, "")
-    assert slurm.submit(stuck, ()) == (0, "")
+    assert slurm.submit(stuck, ()) == Submission(new=3)
+    assert slurm.submit(stuck, ()) == Submission(before=3)
+    while slurm.queue()[stuck[0].product].state != "RUNNING" or not stuck[0].output.exists():
+        pass
     queued = slurm.queue()
     assert {job.product for job in stuck} <= set(queued)
     assert "(dependency)" in dict(slurm.status(stuck))["third"].lower()
@@ -101,11 +115,14 @@ def test_what_was_ended_before_its_time_is_submitted_again(
     assert set(slurm.queue()).isdisjoint(job.product for job in stuck)
     again = jobs(tmp_path)
     assert dict(slurm.status(again))["third"] == "not in the queue"
-    assert slurm.submit(again, ("--time=1",)) == (3, "")
+    made = slurm.submit(again, ("--time=1",))
+    assert made.new == 3 and not made.before and not made.refused
+    (told,) = made.ended
+    assert told.startswith("first ended without its product; its last line: ")
     wait(environment)
     assert all(job.done for job in again)
     assert list(slurm.status(again)) == []
-    assert again[1].output.read_text() == "second\n"
+    assert again[1].output.read_text() == "second 1\n"
 
 
 @pytest.mark.slow
@@ -116,6 +133,56 @@ def test_a_refusal_is_one_line(here: None, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="data: SLURM refuses"):
         command.main([*flags, "--slurm", "partition=none"])
     assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, bytes], None]:
+    """Let a command of SLURM's say that, and there is no other."""
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    (tmp_path / "bin").mkdir()
+
+    def say(name: str, text: bytes) -> None:
+        (tmp_path / "bin" / name).write_bytes(b"#!/bin/sh\necho '%b'\n" % text)
+        (tmp_path / "bin" / name).chmod(0o755)
+
+    return say
+
+
+def test_jobs_of_others_and_those_that_will_not_begin_are_not_ours(
+    say: Callable[[str, bytes], None], tmp_path: Path
+) -> None:
+    ours = jobs(tmp_path)
+    products = [str(job.product).replace("'", "'\\''").encode() for job in ours]
+    say(
+        "squeue",
+        b"1|RUNNING|None|of two\nlines\n2|PENDING|None|latin \xe9\n"
+        b"3_4|RUNNING|None|%b\n5|PENDING|DependencyNeverSatisfied|%b" % tuple(products[:2]),
+    )
+    queued = slurm.queue()
+    assert [str(queued[job.product]) for job in ours if job.product in queued] == [
+        "running, SLURM's job 3_4"
+    ]
+
+
+def test_an_allocation_without_nodes_is_one_line(say: Callable[[str, bytes], None]) -> None:
+    say("scontrol", b"")
+    with pytest.raises(UserError, match="does not say which nodes"):
+        slurm.nodes()
+
+
+@pytest.mark.parametrize("name", ["two\nlines", "back\\slash", "a bell \a"])
+def test_a_folder_that_slurm_cannot_write_in_is_one_line(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="SLURM cannot take"):
+        slurm.submit(jobs(tmp_path / name), ())
+
+
+def test_two_do_not_submit_a_mechanism_check_at_once(finished: ComparisonFolder) -> None:
+    flags = ["3agent_hopper", "--quick", "--seeds", "0", "--checkpoints", str(finished.root)]
+    with (
+        run_record.locked(RunFolder(finished.root)),
+        pytest.raises(UserError, match="another launcher is at work"),
+    ):
+        mechanism.main([*flags, "--on", "slurm"])
 
 
 def test_without_slurm_one_line_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,7 +198,8 @@ def test_without_slurm_one_line_says_so(tmp_path: Path, monkeypatch: pytest.Monk
         (("--status",), "--status needs --on slurm"),
         (("--on", "slurm", "--slurm", "time"), "write key=value"),
         (("--on", "slurm", "--slurm=--wrap=x"), "write key=value"),
-        (("--on", "slurm", "--slurm", "output=x"), "output is set for every job"),
+        (("--on", "slurm", "--slurm", "output=x"), "output would part the jobs from what"),
+        (("--on", "slurm", "--slurm", "dep=x"), "dep would part the jobs from what"),
     ],
 )
 def test_a_wrong_flag_is_one_line(flags: tuple[str, ...], says: str, tmp_path: Path) -> None:
