@@ -86,6 +86,30 @@ def test_the_wheel_installs_nothing_but_otc_dist(wheel: Path) -> None:
 
 
 @pytest.mark.slow
+def test_the_image_installs_the_same_from_what_it_is_given(wheel: Path, tmp_path: Path) -> None:
+    """The Dockerfile's own step on what .dockerignore lets through, but for the dependencies."""
+    rules = (ROOT / ".dockerignore").read_text().split("\n")
+    assert rules[1] == "*"
+    (given := tmp_path / "given").mkdir()
+    for rule in rules:
+        if rule.startswith("!") and (part := ROOT / rule[1:]).is_dir():
+            shutil.copytree(part, given / part.name, ignore=shutil.ignore_patterns("__pycache__"))
+        elif rule.startswith("!"):
+            shutil.copyfile(part, given / part.name)
+    lines = (ROOT / "Dockerfile").read_text().split("\n")
+    (step,) = (line.removeprefix("RUN ") for line in lines if line.startswith("RUN python"))
+    here = f" install --no-deps --no-build-isolation --target {tmp_path}/image "
+    path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
+    environment = {"PATH": path, "TORCH": "http://nowhere.invalid"}
+    step = step.replace(" install ", here)
+    subprocess.run(step, shell=True, cwd=given, env=environment, check=True, timeout=300)
+    installed = (path for path in (tmp_path / "image" / "otc_dist").rglob("*") if path.is_file())
+    names = {str(p.relative_to(tmp_path / "image")) for p in installed if p.suffix != ".pyc"}
+    ours = {n for n in zipfile.ZipFile(wheel).namelist() if n.startswith("otc_dist/")}
+    assert names == ours
+
+
+@pytest.mark.slow
 def test_the_installed_launcher_runs_from_another_folder(
     wheel: Path, tmp_path: Path, tiny_flags: tuple[str, ...]
 ) -> None:

@@ -53,7 +53,8 @@ def submit(jobs: Sequence[Job], wanted: Sequence[str]) -> int:
         UserError: SLURM does not answer, or refuses the first of these jobs.
     """
     made = slurm.submit(jobs, wanted)
-    say(*(f"{line}; submitted again" for line in made.ended))
+    for line in made.ended:
+        say(f"{line}; submitted again")
     before = f"; {made.before} were in the queue before" if made.before else ""
     number = f"{made.new} job{'' if made.new == 1 else 's'}"
     print(f"{number} submitted{before}; --status shows them, the same command what is complete")

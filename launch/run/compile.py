@@ -5,7 +5,6 @@ depends on the networks' and minibatches' sizes, so a learner with a little made
 updates asks for all of it. Only the code of a few samplers depends on the size of the buffer.
 """
 
-import sys
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from otc_dist.run.folder import RunFolder
 from otc_dist.spec import AgentSpec
 from otc_dist.steps.engine import check
 from otc_dist.terminal.errors import run_main
+from otc_dist.terminal.progress import beside
 from otc_dist.transitions import Transitions
 
 ROWS = 256  # of made-up data
@@ -33,10 +33,10 @@ def main(argv: list[str]) -> int:
     `argv`: the run folder, and the agents that learn on this machine (none: all).
     """
     description = Description.load(RunFolder(Path(argv[0])).description).trusted()
-    print("compiling the updates (about a minute; seconds if done before) ...", file=sys.stderr)
+    beside("compiling the updates (about a minute; seconds if done before) ...")
     start = time.monotonic()
     compile_updates(description, argv[1:])
-    print(f"compiled in {time.monotonic() - start:.0f} s", file=sys.stderr)
+    beside(f"compiled in {time.monotonic() - start:.0f} s")
     return 0
 
 

@@ -116,7 +116,7 @@ def submit(jobs: Sequence[Job], wanted: Sequence[str]) -> Submission:
         if "\\" in str(path) or not str(path).isprintable():
             raise UserError(f"SLURM cannot take {path} as a job's: its name has a control or a \\")
     ids = {product: job.id for product, job in queue().items()}
-    made = Submission(before=sum(job.product in ids for job in jobs))
+    made = Submission(before=sum(job.product in ids and not job.done for job in jobs))
     for job in jobs:
         if job.done or job.product in ids:
             continue

@@ -28,6 +28,15 @@ def redraws(console: Console) -> bool:
     return console.file.isatty() and not console.is_dumb_terminal
 
 
+def beside(text: str) -> None:
+    """Print a line on the standard error output, where another process may be drawing its bar.
+
+    It takes the bar's place, and the bar is drawn again below.
+    """
+    over = "\r\x1b[2K" if redraws(Console(stderr=True)) else ""
+    print(f"{over}{text}", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def shown(doing: str, unit: str) -> Iterator[Report]:
     """Show on the standard error output how many of some `unit` are done, after what is `doing`."""

@@ -1,6 +1,7 @@
 """A comparison's jobs in the queue of a real SLURM, and what is said where it refuses them."""
 
 import json
+import re
 import shlex
 import subprocess
 from collections.abc import Callable, Iterator
@@ -9,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from otc_dist.comparison.scores import ComparisonFolder
-from otc_dist.launch.compare import command, mechanism
+from otc_dist.description import Description
+from otc_dist.launch.compare import cluster, command, job_graph, mechanism
 from otc_dist.launch.plan import run_record
 from otc_dist.launch.supervise import slurm
 from otc_dist.launch.supervise.jobs import Job
@@ -17,14 +19,14 @@ from otc_dist.launch.supervise.slurm import Submission
 from otc_dist.run.folder import RunFolder
 from otc_dist.terminal.errors import UserError
 
-from ..launch.slurm_node import cluster
+from ..launch import slurm_node
 
 _OF_ITS_OWN = ("seconds", "versions")  # what two makings of the same run may differ in
 
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
-    with cluster(tmp_path_factory.mktemp("slurm")) as environment:
+    with slurm_node.cluster(tmp_path_factory.mktemp("slurm")) as environment:
         yield environment
 
 
@@ -73,15 +75,10 @@ def test_results_are_those_of_this_machine(
     said = capsys.readouterr().out
     assert "8 jobs submitted; --status shows them" in said and "no seed is complete" in said
     assert command.main(queued) == 0
-    assert "0 jobs submitted; 8 were in the queue before" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert re.search(r"0 jobs submitted; [1-8] were in the queue before", said)
     assert command.main([*queued, "--status"]) == 0
     assert "of 8 jobs are done" in capsys.readouterr().out
-    with pytest.raises(UserError, match=r"of these jobs: add --on slurm, or .*: scancel \d+"):
-        command.main(["3agent_hopper", *flags])
-    with monkeypatch.context() as patch, pytest.raises(UserError, match="no SLURM on this"):
-        patch.setenv("PATH", str(tmp_path))
-        command.main(queued)
-    assert (out / "description.toml").exists()  # which those in the queue read
     wait(environment)
     assert command.main(queued) == 0
     assert "8 jobs, 0 of them to do" in (said := capsys.readouterr().out)
@@ -162,6 +159,50 @@ def test_jobs_of_others_and_those_that_will_not_begin_are_not_ours(
     assert [str(queued[job.product]) for job in ours if job.product in queued] == [
         "running, SLURM's job 3_4"
     ]
+
+
+def test_what_is_in_the_queue_is_neither_done_here_nor_loses_its_folder(
+    say: Callable[[str, bytes], None],
+    base: Description,
+    tiny_flags: tuple[str, ...],
+    tmp_path: Path,
+) -> None:
+    folder = ComparisonFolder(tmp_path / "out")
+    with job_graph.opened(folder, base):  # as those that are in the queue have been submitted
+        pass
+    say("squeue", b"7|RUNNING|None|%b" % str(folder.run(0, "uniform")).encode())
+    here = ["3agent_hopper", "--quick", "--seeds", "0", *tiny_flags, "--out", str(folder.root)]
+    with pytest.raises(UserError, match="has 1 of these jobs: add --on slurm"):
+        command.main(here)
+    (tmp_path / "bin" / "squeue").unlink()
+    with pytest.raises(UserError, match="there is no SLURM on this machine"):
+        command.main([*here, "--on", "slurm"])
+    assert folder.description.exists()  # which those in the queue read
+
+
+# Takes one job, and no other.
+FULL = """\
+#!/bin/sh
+echo "Welcome to the cluster" >&2
+if [ -e '{0}' ]; then echo "sbatch: error: QOSMaxSubmitJobPerUserLimit" >&2; exit 1; fi
+: >'{0}'
+echo 7
+"""
+
+
+def test_a_queue_that_refuses_in_the_middle_is_gone_on_with(
+    say: Callable[[str, bytes], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    say("squeue", b"")
+    (tmp_path / "bin" / "sbatch").write_text(FULL.format(tmp_path / "full"))
+    (tmp_path / "bin" / "sbatch").chmod(0o755)
+    assert cluster.submit(jobs(tmp_path), ()) == 2
+    said = capsys.readouterr()
+    assert said.out.startswith("1 job submitted; --status shows")
+    assert said.err == (
+        "error: second: SLURM refuses: sbatch: error: QOSMaxSubmitJobPerUserLimit; the same command"
+        " submits the rest\n"
+    )
 
 
 def test_an_allocation_without_nodes_is_one_line(say: Callable[[str, bytes], None]) -> None:

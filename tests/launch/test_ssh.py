@@ -109,26 +109,39 @@ def test_a_run_by_ssh_is_stopped_and_gone_on_with_and_ends_the_same(
     same(RunFolder(host), finished[0], [RunFolder(folder) for folder in learners])
 
 
-def test_a_run_across_a_slurm_allocation_ends_the_same(
+def test_a_run_across_a_slurm_allocation_is_stopped_and_gone_on_with_and_ends_the_same(
     finished: tuple[RunFolder, Launcher],
+    launch: Callable[..., Launcher],
     tmp_path: Path,
     tiny_flags: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     (folder := tmp_path / "there").mkdir()
     command = [sys.executable, "-m", "otc_dist.launch", "3agent_hopper", *tiny_flags]
     alone = subprocess.run([*command, "--on", "slurm"], cwd=folder, capture_output=True, text=True)
     assert alone.returncode == 2 and "begin with salloc" in alone.stderr
-    with cluster(tmp_path) as environment:
-        done = subprocess.run(
-            ["srun", "--quiet", "--overcommit", *command, "--on", "slurm"],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-    assert done.returncode == 0, done.stdout + done.stderr
     runs = [RunFolder(folder / "runs" / f"{RUN}-{part}") for part in ("host", *AGENTS)]
+    hold = Hold("host", "deployment", 1, tmp_path / "gate")
+    with cluster(tmp_path) as environment:
+        monkeypatch.setenv("SLURM_CONF", environment["SLURM_CONF"])
+
+        def start() -> Launcher:
+            flags = ("3agent_hopper", *tiny_flags, "--on", "slurm")
+            return launch(*flags, cwd=folder, prefix=("salloc", "--quiet"), hold=hold)
+
+        first = start()
+        first.read_until(lambda line: line.startswith("host: deployment 1"))
+        working = [pid for run in runs for pid in processes_of(run.root).values()]
+        assert len(working) == 1 + len(AGENTS)
+        salloc = first.process.pid
+        (launcher,) = Path(f"/proc/{salloc}/task/{salloc}/children").read_text().split()
+        os.kill(int(launcher), signal.SIGINT)
+        assert first.finish() == 128 + signal.SIGINT, first.text
+        assert "the same command continues" in first.text
+        wait_for_end(working)
+        hold.lift()
+        again = start()  # an allocation of another number
+        assert again.finish() == 0, again.text
     same(runs[0], finished[0], runs[1:])
     key = folder / "runs" / f"{RUN}-certs" / "agent_0" / "key.pem"
     assert key.stat().st_mode & 0o077 == 0

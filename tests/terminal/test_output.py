@@ -93,3 +93,16 @@ def test_a_file_is_not_drawn_over_whatever_the_environment_says(
     with (tmp_path / "file").open("w") as file:
         console = Console(file=file)
         assert console.is_terminal and not redraws(console)
+
+
+def test_a_line_takes_the_place_of_a_bar_that_another_process_draws() -> None:
+    say = [sys.executable, "-c", "from otc_dist.terminal.progress import beside; beside('done')"]
+    master, terminal = pty.openpty()
+    try:
+        bare = {**os.environ, "TERM": "xterm"}
+        subprocess.run(say, stderr=terminal, env=bare, check=True, timeout=60)
+        assert os.read(master, 100) == b"\r\x1b[2Kdone\r\n"
+    finally:
+        os.close(master)
+        os.close(terminal)
+    assert subprocess.run(say, capture_output=True, check=True).stderr == b"done\n"
