@@ -87,7 +87,7 @@ def test_what_the_recommended_policies_gain_is_told_in_the_measured_numbers() ->
 
     for arm in ("typical-share", "uniform-null"):
         assert minus(arm, "uniform") in page and minus(arm, "uniform") in readme, arm
-    assert f"The default minus the null arm is {minus('typical-share', 'uniform-null')}" in page
+    assert f"OTC minus the null arm is {minus('typical-share', 'uniform-null')}" in page
     assert f"minus a random tenth {minus('typical-share', 'random-share')}" in page
     assert minus("random-share", "uniform").split(" ", 1)[1] in page
     for arm in ("typical-share", "uniform", "uniform-null"):

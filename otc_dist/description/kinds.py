@@ -93,6 +93,16 @@ class Kind(Generic[S]):
 class Strategies(Kind[SamplingSection]):
     """Sampling strategies, each of which keeps the settings of the others beside its own."""
 
+    DEFAULT = "uniform"  # no other is shown to do more (docs/results.md)
+
+    def _name(self, data: object) -> object:
+        """The name given; without one, the default, or what has all the settings that are given."""
+        if not isinstance(data, dict) or "name" in data:
+            return super()._name(data)
+        names = (self.DEFAULT, *self)
+        fitting = (name for name in names if set(data) <= set(self.section(name).model_fields))
+        return next(fitting, self.DEFAULT)
+
     def settings(self) -> dict[str, type[SamplingSection]]:
         """Setting -> the section in this package that has it."""
         sections = [self.section(name) for name in self]
