@@ -158,16 +158,22 @@ class Description(Section):
 
         With another `algorithm.name` the section keeps what is not the old algorithm's default;
         with another `sampling.name` what strategies of this package know; with another environment
-        the data set is the same level of it.
+        the data set is the same level of it. A setting that the strategy has not asks for the one
+        that has it.
         """
         data = self.model_dump(mode="json")
         data["dataset"]["name"] = self.dataset.name.removeprefix(f"{self.env.id}/")
         changed = self.algorithm.model_dump(mode="json", exclude_defaults=True)
         data["algorithm"] = {"name": self.algorithm.name, **changed}
-        named = [
-            text.partition("=")[2] for text in assignments if text.startswith("sampling.name=")
-        ]
-        if named and named[-1] != self.sampling.name:
+        asked = {}
+        for text in assignments:
+            key, _, value = text.partition("=")
+            if key.startswith("sampling."):
+                asked[key.removeprefix("sampling.").strip()] = value.strip(" '\"")
+        if "name" not in asked and not set(asked) <= set(type(self.sampling).model_fields):
+            asked["name"] = STRATEGIES.with_settings(asked)
+            assignments = (*assignments, f"sampling.name={asked['name']}")
+        if asked.get("name", self.sampling.name) != self.sampling.name:
             known = STRATEGIES.settings()
             data["sampling"] = {key: x for key, x in data["sampling"].items() if key in known}
         return self.build(data, assignments)

@@ -6,7 +6,7 @@ its `Section`. A new one is such a file, and a line here. One that is not of thi
 as they stand, and nothing runs.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from typing import Any, Generic, Literal, TypeVar
 
@@ -99,8 +99,12 @@ class Strategies(Kind[SamplingSection]):
         """The name given; without one, the default, or what has all the settings that are given."""
         if not isinstance(data, dict) or "name" in data:
             return super()._name(data)
-        names = (self.DEFAULT, *self)
-        fitting = (name for name in names if set(data) <= set(self.section(name).model_fields))
+        return self.with_settings(data)
+
+    def with_settings(self, keys: Iterable[str]) -> str:
+        """The first strategy that has all these settings; the default, if none has."""
+        wanted, names = set(keys), (self.DEFAULT, *self)
+        fitting = (name for name in names if wanted <= set(self.section(name).model_fields))
         return next(fitting, self.DEFAULT)
 
     def settings(self) -> dict[str, type[SamplingSection]]:

@@ -35,7 +35,7 @@ def test_round_trip_through_toml(tmp_path: Path) -> None:
 
 
 def test_the_papers_numbers_are_the_defaults() -> None:
-    d = minimal()
+    d = minimal("sampling.name=otc")
     assert (d.sampling.candidates, d.sampling.references, d.algorithm.batch_size) == (
         512,
         2000,
@@ -67,6 +67,31 @@ def test_table_3(name: str, hidden: tuple[int, ...], updates: int, rates: dict[s
 def test_another_algorithm_brings_its_own_defaults() -> None:
     large = minimal("algorithm.batch_size=64").with_assignments("algorithm.name=td3bc")
     assert (large.algorithm.hidden, large.algorithm.batch_size) == ((256, 256), 64)
+
+
+@pytest.mark.parametrize(
+    ("assignments", "name"),
+    [
+        ((), "uniform"),
+        (("sampling.distance=value",), "otc"),
+        (("sampling.share = 0.2", "sampling.alpha=2"), "otc"),
+        (("sampling.online_share=0.5",), "uniform"),
+        (("sampling.temperature=2",), "balanced"),
+        (("sampling.alpha=2", "sampling.name=uniform"), "uniform"),
+        (("sampling.aplha=2",), None),
+    ],
+)
+def test_a_setting_of_a_strategy_asks_for_it(
+    assignments: tuple[str, ...], name: str | None
+) -> None:
+    if name is None:
+        with pytest.raises(UserError, match=r"did you mean 'sampling\.alpha'"):
+            minimal(*assignments)
+        with pytest.raises(UserError, match=r"did you mean 'sampling\.alpha'"):
+            minimal().with_assignments(*assignments)
+        return
+    assert minimal(*assignments).sampling.name == name
+    assert minimal().with_assignments(*assignments).sampling.name == name
 
 
 def test_assignments_reach_sections_and_keep_the_rest() -> None:
@@ -182,7 +207,7 @@ def test_a_summary_is_not_kept_for_something_else() -> None:
     }
     assert Description.build(data, ["sampling.alpha=2.0"]).heading == "two of a flock"
     three = Description.build(data, ["env.agents=3"])
-    assert three.heading == "flock-3/random: bcq tuned by OTC, typical by share"
+    assert three.heading == "flock-3/random: bcq tuned by uniform sampling"
     uniform = Description.build(data, ["sampling.name=uniform"])
     assert uniform.heading == "flock-2/random: bcq tuned by uniform sampling"
     assert Description.build(data, ["env.agents=3", "summary=mine"]).heading == "mine"
@@ -206,7 +231,7 @@ OTHER = {
     "deployment.exploration_rate": 0.5,
     "deployment.keep": "best",
     "offline.policies": "0123456789abcdef",
-    "sampling.name": "uniform",
+    "sampling.name": "balanced",
     "sampling.distance": "value",
     "sampling.matching": "exact",
     "sampling.normaliser": "paper",
