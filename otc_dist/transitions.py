@@ -1,7 +1,7 @@
 """Transitions: the one data type that flows from environments to logs, data sets and learners.
 
 `JointStep` is what the env host sees (all agents), `Transitions` is what one agent may see
-(its own), and `ReplayBuffer` is where a learner keeps them.
+(its own), and `RowLayout` is how a learner keeps them.
 """
 
 import math
@@ -169,43 +169,26 @@ class RowLayout:
     def terminated(self) -> int:
         return self.width - 1
 
+    def pack(self, data: Transitions, rows: Float32 | None = None) -> Float32:
+        """Transitions as rows (N, width), written to `rows` if they are given.
 
-class ReplayBuffer:
-    """B_k: the offline data set B_0 followed by D_1 .. D_k, as packed float32 rows.
-
-    Memory is taken once, at construction, for B_0 and all the deployments to come.
-
-    Raises:
-        ValueError: more transitions than `capacity`, sizes that are not the layout's, a value
-            that is not finite, or a discrete action that was not available.
-    """
-
-    def __init__(self, layout: RowLayout, capacity: int) -> None:
-        self.layout = layout
-        self.rows = np.empty((capacity, layout.width), dtype=np.float32)
-        self.size = 0
-        self.offline_size = 0
-        self.newest_start = 0  # where D_k, the newest deployment's data, begins
-
-    def append(self, data: Transitions, *, offline: bool) -> None:
-        """Merge a data set (line 5 of Algorithm 1): B_k = B_{k-1} + D_k."""
-        end = self.size + len(data)
-        if end > len(self.rows):
-            raise ValueError(f"{end} transitions do not fit into {len(self.rows)} rows")
-        layout, rows = self.layout, self.rows[self.size : end]
+        Raises:
+            ValueError: sizes that are not the layout's, a value that is not finite, or a discrete
+                action that was not available.
+        """
+        if rows is None:
+            rows = np.empty((len(data), self.width), dtype=np.float32)
         found = tuple(x.shape[1] for x in (data.observations, data.actions, data.next_observations))
-        expected = (layout.observation_size, layout.action_size, layout.observation_size)
+        expected = (self.observation_size, self.action_size, self.observation_size)
         if found != expected:  # numpy would broadcast a size of one
             raise ValueError(f"sizes of s, a, s' are {found}, not {expected}")
-        rows[:, layout.observation] = data.observations
-        rows[:, layout.action] = data.actions
-        rows[:, layout.reward] = data.rewards
-        rows[:, layout.next_observation] = data.next_observations
-        rows[:, layout.terminated] = data.terminated
+        rows[:, self.observation] = data.observations
+        rows[:, self.action] = data.actions
+        rows[:, self.reward] = data.rewards
+        rows[:, self.next_observation] = data.next_observations
+        rows[:, self.terminated] = data.terminated
         if not all_finite(rows):
             raise ValueError("a transition holds a value that is not finite (NaN or infinity)")
-        if problem := choice_problem(data, layout.choices):
+        if problem := choice_problem(data, self.choices):
             raise ValueError(problem)
-        self.newest_start, self.size = self.size, end
-        if offline:
-            self.offline_size = end
+        return rows

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from otc_dist.transitions import JointStep, ReplayBuffer, RowLayout, Transitions
+from otc_dist.transitions import JointStep, RowLayout, Transitions
 
 from .brains import transitions
 
@@ -57,33 +57,17 @@ def test_a_row_holds_every_field_once() -> None:
     assert sorted([*columns, LAYOUT.reward, LAYOUT.terminated]) == list(range(LAYOUT.width))
 
 
-def test_the_buffer_keeps_offline_data_and_deployments_in_order() -> None:
-    buffer = ReplayBuffer(LAYOUT, 18)
-    parts = [transitions(0, 10), transitions(1, 4), transitions(2, 4)]
-    for index, part in enumerate(parts):
-        buffer.append(part, offline=index == 0)
-    assert (buffer.offline_size, buffer.newest_start, buffer.size) == (10, 14, 18)
-    whole = Transitions.concatenate(parts)
-    rows = buffer.rows
+def test_packed_rows_hold_what_was_given() -> None:
+    whole = transitions(0, 10)
+    rows = LAYOUT.pack(whole)
     assert np.array_equal(rows[:, LAYOUT.observation], whole.observations)
     assert np.array_equal(rows[:, LAYOUT.action], whole.actions)
     assert np.array_equal(rows[:, LAYOUT.reward], whole.rewards)
     assert np.array_equal(rows[:, LAYOUT.next_observation], whole.next_observations)
     assert np.array_equal(rows[:, LAYOUT.terminated], whole.terminated)  # not where truncated
-
-
-def test_the_buffer_refuses_what_does_not_fit_or_is_not_finite() -> None:
-    buffer = ReplayBuffer(LAYOUT, 12)
-    buffer.append(transitions(0, 10), offline=True)
-    good = transitions(1, 2)
-    nan = replace(good, rewards=np.array([1.0, np.nan], np.float32))
-    thin = replace(good, observations=good.observations[:, :1])
-    for bad, expected in ((transitions(1, 3), "do not fit"), (nan, "finite"), (thin, "sizes")):
-        with pytest.raises(ValueError, match=expected):
-            buffer.append(bad, offline=False)
-        assert (buffer.size, buffer.newest_start) == (10, 0)
-    buffer.append(good, offline=False)
-    assert buffer.size == 12
+    some = np.zeros((12, LAYOUT.width), np.float32)
+    assert np.array_equal(LAYOUT.pack(whole, some[1:11]), rows)
+    assert np.array_equal(some[1:11], rows) and not some[[0, 11]].any()
 
 
 def test_rows_of_steps_that_did_not_happen_are_replaced() -> None:

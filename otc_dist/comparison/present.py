@@ -11,7 +11,7 @@ from otc_dist.learner.action_scale import ActionScale
 from otc_dist.learner.learner import Learner
 from otc_dist.spec import AgentSpec
 from otc_dist.steps.noise import sample_noise, to_tensors
-from otc_dist.transitions import Float32, ReplayBuffer, RowLayout, Transitions
+from otc_dist.transitions import Float32, RowLayout, Transitions
 
 CHUNK = 2048  # states asked about at once
 CANDIDATES = 10  # actions that BCQ decodes to choose from: a tenth of what it does to act
@@ -41,10 +41,9 @@ def would_do(learner: Learner, observations: Float32, random: np.random.Generato
 
 
 def packed(spec: AgentSpec, data: Transitions) -> Tensor:
-    """Packed rows (N, width), as in the agent's replay buffer: actions scaled to [-1, 1]."""
+    """Packed rows (N, width), as the agent has them: actions scaled to [-1, 1]."""
     layout = RowLayout(spec.observation_size, spec.action_size, spec.choices)
-    buffer = ReplayBuffer(layout, len(data))
-    buffer.append(data, offline=True)
-    actions = buffer.rows[:, layout.action]
+    rows = layout.pack(data)
+    actions = rows[:, layout.action]
     actions[:] = ActionScale(spec).scaled(actions)
-    return torch.from_numpy(buffer.rows)
+    return torch.from_numpy(rows)

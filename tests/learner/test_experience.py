@@ -1,5 +1,7 @@
 """Where a learner keeps its own transitions: `otc_dist.learner.experience`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -73,6 +75,18 @@ def test_a_step_that_did_not_happen_is_not_kept() -> None:
     assert own.data.rows[20:24, LAYOUT.reward].max() < 1e6
 
 
-def test_more_than_was_said_to_come_is_refused() -> None:
-    with pytest.raises(ValueError, match="33 transitions do not fit into 32 rows"):
-        experience(None).merge(transitions(1, 13, SPEC))
+def test_what_does_not_fit_or_is_not_finite_is_refused_and_changes_nothing() -> None:
+    own, good = experience(None), transitions(1, 2, SPEC)
+    nan = replace(good, rewards=np.array([1.0, np.nan], np.float32))
+    thin = replace(good, observations=good.observations[:, :1])
+    many = transitions(1, 13, SPEC)
+    for bad, expected in (
+        (many, "33 transitions do not fit into 32 rows"),
+        (nan, "finite"),
+        (thin, "sizes"),
+    ):
+        with pytest.raises(ValueError, match=expected):
+            own.merge(bad)
+        assert own.extent == Extent(20, 0, 20)
+    own.merge(good)
+    assert own.extent == Extent(20, 20, 22)

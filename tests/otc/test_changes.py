@@ -5,17 +5,15 @@ import pytest
 import torch
 
 from otc_dist.otc.distances.change import Changes, matched_l1
-from otc_dist.transitions import ReplayBuffer, RowLayout, Transitions
+from otc_dist.transitions import RowLayout, Transitions
 
 NO_FOLDS = torch.zeros(0)
 
 
 def packed(layout: RowLayout, s: np.ndarray, a: np.ndarray, then: np.ndarray) -> torch.Tensor:
     no = np.zeros(len(s), np.bool_)
-    buffer = ReplayBuffer(layout, len(s))
     arrays = (x.astype(np.float32) for x in (s, a, no, then))
-    buffer.append(Transitions(*arrays, no, no), offline=True)
-    return torch.from_numpy(buffer.rows)
+    return torch.from_numpy(layout.pack(Transitions(*arrays, no, no)))
 
 
 def features(changes: Changes, rows: torch.Tensor) -> np.ndarray:
