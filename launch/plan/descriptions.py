@@ -50,7 +50,10 @@ def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -
     Raises:
         UserError: see `find` and `Description.load`.
     """
-    changes = [*(QUICK if quick else ()), *assignments]
+    path, changes = find(name), list(assignments)
     if seed is not None:
         changes.append(f"seed={seed}")
-    return Description.load(find(name), changes).trusted()
+    if quick:  # by the same strategy: settings of OTC's do not ask for it here
+        strategy = Description.load(path, changes).sampling.name
+        changes = [*QUICK, f"sampling.name={strategy}", *changes]
+    return Description.load(path, changes).trusted()

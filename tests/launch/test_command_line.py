@@ -168,6 +168,14 @@ def test_shipped_descriptions_resolve_and_keep_their_name(name: str) -> None:
         assert resolve(resolved) == resolved
 
 
+@pytest.mark.parametrize("changes", [[], ["sampling.distance=value"], ["sampling.name=balanced"]])
+def test_a_quick_look_is_at_the_same_strategy(changes: list[str]) -> None:
+    whole, short = (
+        descriptions.load("3agent_hopper", changes, None, quick) for quick in (False, True)
+    )
+    assert short.sampling.name == whole.sampling.name
+
+
 def test_set_wins_over_quick() -> None:
     description = descriptions.load("3agent_hopper", ["offline.updates=7"], None, quick=True)
     assert description.offline.updates == 7
