@@ -127,7 +127,7 @@ def test_a_refusal_is_one_line(here: None, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="first: SLURM refuses: sbatch: error: invalid partition"):
         slurm.submit(jobs(tmp_path), slurm.options(["partition=none"]))
     flags = ["3agent_hopper", "--quick", "--out", str(tmp_path / "out"), "--on", "slurm"]
-    with pytest.raises(UserError, match="data: SLURM refuses"):
+    with pytest.raises(UserError, match=r"SLURM refuses: sbatch: error: invalid partition"):
         command.main([*flags, "--slurm", "partition=none"])
     assert not (tmp_path / "out").exists()
 
