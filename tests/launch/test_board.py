@@ -111,8 +111,7 @@ def test_who_begins_again_further_back_is_not_taken_for_slow() -> None:
 
 def test_agents_of_other_machines_do_not_share_our_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("otc_dist.launch.plan.forecast.os.cpu_count", lambda: 2)
-    asked = ["engine.name=eager", "sampling.name=otc"]
-    description = resolve(descriptions.load("3agent_hopper", asked, None, True))
+    description = resolve(descriptions.load("3agent_hopper", ["engine.name=eager"], None, True))
     team = registry.team_spec(description.env.id)
     offline = {n: forecast.parts(description, team, n)[1].seconds for n in (0, 1, 3)}
     assert offline[0] == offline[1] == pytest.approx(offline[3] / 1.5)
@@ -159,7 +158,8 @@ def test_the_table_fits_the_terminal(width: int, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_plan_s_parts_cover_the_run_in_order() -> None:
-    description = resolve(descriptions.load("3agent_hopper", ["engine.name=eager"], None, True))
+    asked = ["engine.name=eager", "sampling.name=otc"]
+    description = resolve(descriptions.load("3agent_hopper", asked, None, True))
     team = registry.team_spec(description.env.id)
     names = [(part.phase, part.deployment) for part in forecast.parts(description, team, 3)]
     assert names == [
