@@ -93,25 +93,16 @@ def test_what_fails_by_itself_is_not_tried_again(
     assert len((tmp_path / "count").read_text()) == 1
 
 
-# Ends well when the other of two is at work as well, which shows in its file.
-MEETS = """
-import pathlib, sys, time
-mine, other = map(pathlib.Path, sys.argv[1:])
-mine.touch()
-while not other.exists():
-    time.sleep(0.01)
-"""
-
-
 def test_all_are_done_side_by_side(tmp_path: Path) -> None:
-    """Two that wait for each other."""
-    files = {name: str(tmp_path / name) for name in ("one", "two")}
+    """Two that wait for each other: each opens its end of a FIFO, and is held until both have."""
+    meeting = tmp_path / "meeting"
+    os.mkfifo(meeting)
     commands = {
-        name: (sys.executable, "-c", MEETS, files[name], files[other])
-        for name, other in (("one", "two"), ("two", "one"))
+        name: (sys.executable, "-c", f"open({str(meeting)!r}, {mode!r})")
+        for name, mode in (("one", "w"), ("two", "r"))
     }
     with Signals() as signals, Supervisor(signals) as supervisor:
-        run_one_off(commands, lambda name: tmp_path / f"{name}.log", supervisor, signals, PATIENCE)
+        run_one_off(commands, lambda name: tmp_path / f"{name}.log", supervisor, signals, 10.0)
         assert supervisor.running == ()
 
 
