@@ -18,7 +18,7 @@ from otc_dist.terminal.printable import say
 
 from ..plan import descriptions
 from ..run.resolve import resolve
-from ..supervise.jobs import FailedError, Job, StoppedError, cores, run_jobs
+from ..supervise.jobs import Job
 from . import cluster, job_graph
 
 SEEDS = "0..9"
@@ -115,7 +115,6 @@ def _compare(
         status = cluster.submit(jobs, queue) if left else 0
         _conclude(folder, base, arms, seeds, quick, results)
         return status
-    cluster.keep_out(jobs, folder.root)
     complete = len(_complete(folder, arms, seeds))
 
     def finished(job: Job) -> None:
@@ -127,14 +126,7 @@ def _compare(
             complete += 1
             _conclude(folder, base, arms, seeds, quick, results)
 
-    status = 0
-    try:
-        run_jobs(jobs, cores(), finished, base.bus.answer_deadline)
-    except FailedError as failed:
-        status = job_graph.failure(failed, folder)
-    except StoppedError as stopped:
-        print(f"stopped by {stopped}; the same command continues")
-        status = stopped.status
+    status = job_graph.do(jobs, folder, base, finished)
     if not left or status:  # else it was shown when the last job finished
         _conclude(folder, base, arms, seeds, quick, results)
     return status

@@ -2,7 +2,7 @@
 
 import hashlib
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +20,9 @@ from otc_dist.terminal.errors import UserError
 
 from ..plan import forecast, run_record
 from ..plan.new_folder import take_away
-from ..supervise.jobs import FailedError, Job
+from ..supervise.jobs import FailedError, Job, StoppedError, cores, run_jobs
 from ..supervise.processes import MISTAKE
+from . import cluster
 
 ANALYSIS = 20.0  # seconds that an analysis takes a deployment
 MODULE = (sys.executable, "-m")
@@ -61,15 +62,31 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
             raise
 
 
-def failure(failed: FailedError, folder: ComparisonFolder) -> int:
-    """Say what failed; returns the exit status.
+def do(
+    jobs: Sequence[Job],
+    folder: ComparisonFolder,
+    base: Description,
+    finished: Callable[[Job], None],
+) -> int:
+    """Do the jobs on this machine's cores, or say why not. Returns the exit status.
 
-    Where it is a mistake, and no job was done before, the folder is taken away again.
+    Where one fails by a mistake, and none was done before, the folder is taken away again.
+
+    Raises:
+        UserError: some of them are in a cluster's queue.
     """
-    print(f"error: {failed}", file=sys.stderr)
-    if failed.status == MISTAKE:
-        take_away(folder.root)
-    return failed.status
+    cluster.keep_out(jobs, folder.root)
+    try:
+        run_jobs(jobs, cores(), finished, base.bus.answer_deadline)
+    except FailedError as failed:
+        print(f"error: {failed}", file=sys.stderr)
+        if failed.status == MISTAKE:
+            take_away(folder.root)
+        return failed.status
+    except StoppedError as stopped:
+        print(f"stopped by {stopped}; the same command continues")
+        return stopped.status
+    return 0
 
 
 def note_inputs(folder: ComparisonFolder, base: Description) -> None:

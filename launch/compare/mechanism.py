@@ -13,7 +13,6 @@ from otc_dist.terminal.parser import Parser
 
 from ..plan import descriptions
 from ..run.resolve import resolve
-from ..supervise.jobs import FailedError, StoppedError, cores, run_jobs
 from . import cluster, job_graph
 
 _EXPLANATION = """\
@@ -67,14 +66,8 @@ def main(argv: list[str]) -> int:
     with nullcontext() if trained else job_graph.opened(folder, base):
         if queue is not None and not all(job.done for job in jobs):
             return cluster.submit(jobs, queue)
-        cluster.keep_out(jobs, folder.root)
-        try:
-            run_jobs(jobs, cores(), lambda job: None, base.bus.answer_deadline)
-        except FailedError as failed:
-            return job_graph.failure(failed, folder)
-        except StoppedError as stopped:
-            print(f"stopped by {stopped}; the same command continues")
-            return stopped.status
+        if status := job_graph.do(jobs, folder, base, lambda job: None):
+            return status
     if quick:
         print(descriptions.QUICK_LABEL)
     found = table.read([folder.mechanism(name, seed) for seed in seeds])
