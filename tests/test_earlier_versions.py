@@ -17,6 +17,7 @@ from otc_dist.replay.__main__ import main as replay
 from otc_dist.report.write import write_report
 from otc_dist.run.folder import RunFolder
 from otc_dist.terminal.errors import UserError
+from tests.deployment_log.shown import shown
 
 EARLIER = Path(__file__).parent / "earlier"
 LOG = Path("deployments", "deployment_01.mcap")
@@ -34,6 +35,19 @@ def test_a_log_is_read_played_again_and_imported(made: Path, tmp_path: Path) -> 
     assert replay([str(log), "--verify", "--accept-unbound"]) == 0
     assert len(read_log(made / LOG).agents["agent_0"]) == 40
     assert import_files([made / LOG], "earlier").transitions == 40
+
+
+def test_what_viewers_show_of_a_log_is_the_same_today(made: Path, tmp_path: Path) -> None:
+    """The first version wrote it in JSON, which stays in the file."""
+    assert replay([str(made / LOG), "--foxglove", str(tmp_path / "shown.mcap")]) == 0
+    before, now = (shown(path, "/transforms") for path in (made / LOG, tmp_path / "shown.mcap"))
+    assert len(before) == len(now) == 10
+    for old, new in zip(before, now, strict=True):
+        assert (old.time, old.sequence) == (new.time, new.sequence)
+        for theirs, ours in zip(old.content["transforms"], new.content.transforms, strict=True):
+            assert theirs["child_frame_id"] == ours.child_frame_id
+            there, here = theirs["translation"], ours.translation
+            assert (here.x, here.y, here.z) == pytest.approx(tuple(there.values()), abs=1e-3)
 
 
 def test_a_checkpoint_acts(made: Path) -> None:

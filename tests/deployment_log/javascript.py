@@ -11,7 +11,7 @@ _PACKAGES = (
     "@mcap/core@2.2.2",
     "fzstd@0.1.1",
     "@msgpack/msgpack@3.1.2",
-    "@foxglove/schemas@2.1.0",
+    "@mcap/support@1.1.0",
     "ajv@8.20.0",
 )
 
@@ -39,7 +39,7 @@ def _folder() -> Path:
     if not (shutil.which("node") and shutil.which("npm")):
         pytest.skip("node and npm are not installed")
     base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    folder = base / "otc_dist_tests" / "npm-3"
+    folder = base / "otc_dist_tests" / "npm-4"
     if not (folder / "ready").exists():
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "package.json").write_text('{"private": true, "type": "module"}')

@@ -1,27 +1,23 @@
 """Logs made into files for Foxglove, with what only the learners knew."""
 
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 
+from tests.deployment_log.shown import shown
 from tests.report.conftest import MadeRun
 
 from .conftest import Replay
 from .played import play
 
 
-def contents(path: Path) -> list[tuple[str, int, dict]]:
+def contents(path: Path) -> list[tuple[str, int, Any]]:
     """Topic, time and content, in the order of time."""
-    with path.open("rb") as stream:
-        return [
-            (channel.topic, message.log_time, json.loads(message.data))
-            for _, channel, message in make_reader(stream).iter_messages()
-            if channel.message_encoding == "json"
-        ]
+    return [(each.topic, each.time, each.content) for each in shown(path)]
 
 
 @pytest.fixture
@@ -59,8 +55,10 @@ def test_what_a_finished_log_has_already_is_the_same(
 ) -> None:
     log, out = made.folder.deployment(2), tmp_path / "out.mcap"
     replay(log, "--foxglove", out)
-    kept = [message for message in contents(out) if not message[0].endswith("/tuning")]
-    assert kept == contents(log)
+    kept = [each for each in shown(out) if not each.topic.endswith("/tuning")]
+    assert [(each[:3], each.data) for each in kept] == [
+        (each[:3], each.data) for each in shown(log)
+    ]
 
 
 def test_an_unfinished_log(recorded, tmp_path: Path, replay: Replay) -> None:
