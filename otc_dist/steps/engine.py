@@ -129,14 +129,17 @@ class Engine:
         return cast(Callable[P, T], _fused[key])
 
     def _compile(self, anatomy: "_FunctionIdentity") -> Callable[..., Any]:
+        on_cpu = self.device.type == "cpu"
         options = torch_internals.options(
             anatomy.arguments,
-            on_cpu=self.device.type == "cpu",
+            on_cpu=on_cpu,
             compiler=_compiler() if self.products == "own" else None,
         )
-        return torch.no_grad()(
+        compiled = torch.no_grad()(
             torch.compile(anatomy.copy(), fullgraph=True, dynamic=False, options=options)
         )
+        # A CUDA graph is called once.
+        return torch_internals.called_directly(compiled) if on_cpu else compiled
 
     def record(self, update: Update) -> Update:
         """`update` itself, or on a GPU its recording, replayed at every later call."""

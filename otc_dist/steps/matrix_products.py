@@ -59,16 +59,16 @@ class Products(CustomGraphPass):
                     node.target = torch.ops.otc_dist.own_product.default
 
 
-def options(compiler: str) -> dict[str, Any]:
+def passes(compiler: str) -> list[CustomGraphPass]:
     """What makes `torch.compile` use the kernel; nothing where it is not to be had.
 
     Args:
         compiler: a C++ compiler's path.
     """
     if loaded(compiler) is None:
-        return {}
+        return []
     aot_inductor.custom_ops_to_c_shims = _Shims()
-    return {"post_grad_custom_pre_pass": Products()}
+    return [Products()]
 
 
 class _Shims(dict[Any, list[str]]):

@@ -32,7 +32,7 @@ struct Matrix {
 Matrix side_by_side(const Matrix& from, std::vector<float>& scratch) {
   const auto [data, rows, columns, row_step, column_step] = from;
   if (column_step == 1 && row_step >= columns) return from;
-  scratch.resize(rows * columns);
+  if (scratch.size() < static_cast<size_t>(rows * columns)) scratch.resize(rows * columns);
   if (row_step == 1 && column_step >= rows) {
     fbgemm::transpose_simd<float>(columns, rows, data, column_step, scratch.data(), columns);
   } else {

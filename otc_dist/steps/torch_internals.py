@@ -11,17 +11,27 @@ import os
 import re
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+
+from otc_dist.steps.state import P, T
+
+if TYPE_CHECKING:
+    from torch._inductor.custom_graph_pass import CustomGraphPass
 
 Guards = Callable[[Sequence[Any]], list[bool]]
 VARIANTS = 256  # of one function in a process: agents differ in sizes, arms in samplers
 # torch.cond's branches are part of the cache's key, but torch has not declared it cacheable.
 CACHEABLE = {"torch.ops.higher_order.cond": torch.__version__}
 # What `torch.compile` must know beside the filter of guards.
-OPTIONS = ("cpp_wrapper", "unsafe_marked_cacheable_functions", "post_grad_custom_pre_pass")
+OPTIONS = (
+    "cpp_wrapper",
+    "unsafe_marked_cacheable_functions",
+    "post_grad_custom_pre_pass",
+    "size_asserts",
+)
 HEADERS = "cpp_cache_precompile_headers"
 log = logging.getLogger(__name__)
 
@@ -40,13 +50,30 @@ def options(arguments: Collection[str], on_cpu: bool, compiler: str | None) -> d
         "guard_filter_fn": _on(arguments),
         "unsafe_marked_cacheable_functions": CACHEABLE,
     }
+    # torch's compiler takes a second to import.
+    from otc_dist.steps import matrix_products, repeated_terms
+
+    passes: list[CustomGraphPass] = [repeated_terms.RepeatedTerms()]
     if on_cpu:
         chosen["cpp_wrapper"] = True
+        chosen["size_asserts"] = False  # of what products return, at every call
     if compiler:
-        from otc_dist.steps import matrix_products  # torch's compiler takes a second to import
+        passes += matrix_products.passes(compiler)
+    return chosen | {"post_grad_custom_pre_pass": passes}
 
-        chosen |= matrix_products.options(compiler)
-    return chosen
+
+def called_directly(compiled: Callable[P, T]) -> Callable[P, T]:
+    """The same function, called without what torch does around its code; where that is not to be
+    had, itself.
+
+    Args:
+        compiled: what `torch.compile` made for the CPU of a pure function.
+    """
+    if not usable():
+        return compiled
+    from otc_dist.steps import direct_calls
+
+    return direct_calls.DirectCalls(compiled)
 
 
 @functools.cache
@@ -112,8 +139,10 @@ def _prepare() -> None:
     """Raises an error if torch lacks something that holds for all that is compiled."""
     # The default of 8 ends a process that holds more brains than that with an error.
     torch._dynamo.config.recompile_limit = VARIANTS
-    from otc_dist.steps import matrix_products  # noqa: F401  (which may not be importable there)
+    # Which may not be importable there.
+    from otc_dist.steps import direct_calls, matrix_products, repeated_terms  # noqa: F401
 
+    direct_calls.check()
     known = torch._inductor.list_options()
     if missing := [name for name in OPTIONS if name not in known]:
         raise AttributeError(f"it has no option {missing[0]}")

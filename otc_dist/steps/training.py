@@ -41,10 +41,12 @@ def train(
     for first in range(span[0], span[1], block):
         count = min(block, span[1] - first)
         sampled = to_tensors(sample_block(first // block, count), device)
-        state, total = update(state, {name: array[0] for name, array in sampled.items()})
+        arrays = zip(*(array.unbind() for array in sampled.values()), strict=True)
+        numbers = (dict(zip(sampled, each, strict=True)) for each in arrays)
+        state, total = update(state, next(numbers))
         total = total.clone()
-        for index in range(1, count):
-            state, metrics = update(state, {name: array[index] for name, array in sampled.items()})
+        for each in numbers:
+            state, metrics = update(state, each)
             total += metrics
         on_block(state, first + count, (total / count).tolist())
     return state

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 from torch._dynamo import guards
-from torch._inductor import codecache
+from torch._inductor import codecache, output_code
 
 from otc_dist.description.sections import EngineSection
 from otc_dist.steps import engine, matrix_products, torch_internals
@@ -16,6 +16,10 @@ from otc_dist.steps.engine import Engine
 from otc_dist.terminal.errors import UserError
 
 Patch = Callable[[pytest.MonkeyPatch], None]
+
+
+def square(x: Tensor) -> Tensor:
+    return x * x
 
 
 def _no_pass(patch: pytest.MonkeyPatch) -> None:
@@ -36,6 +40,12 @@ OTHERS: dict[str, tuple[Patch, str]] = {
     "no such pass": (
         _no_pass,
         "matrix_products",
+    ),
+    "code kept elsewhere": (
+        lambda patch: patch.delitem(
+            output_code.CompiledFxGraph.__annotations__, "current_callable"
+        ),
+        "CompiledFxGraph has no current_callable",
     ),
     "other names of guards": (
         lambda patch: patch.setattr(guards, "strip_local_scope", lambda name: name),
@@ -67,6 +77,7 @@ def test_another_torch_is_one_line_and_the_plain_way(
     change(monkeypatch)
     assert torch_internals.options(("rows",), on_cpu=True, compiler="g++") == plain
     assert not torch_internals.multiplies("g++")
+    assert torch_internals.called_directly(square) is square
     (said,) = (one.getMessage() for one in caplog.records if one.name == torch_internals.__name__)
     assert said.startswith("updates are compiled by plain torch.compile: torch") and told in said
     assert "\n" not in said
