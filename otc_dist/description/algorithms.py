@@ -77,7 +77,7 @@ def check_fit(section: AlgorithmSection, spec: AgentSpec, task: Task | None) -> 
     name = f"algorithm.name = {section.name!r}"
     if section.discrete != bool(spec.choices):
         has = f"{spec.choices} discrete actions" if spec.choices else "continuous actions"
-        suited = "'discrete-cql'" if spec.choices else "for example 'bcq'"
+        suited = "'discrete-cql'" if spec.choices else "for example 'td3bc'"
         raise UserError(f"{name} does not fit {spec.name}, which has {has}; use {suited}")
     if section.plans and task is None:
         raise UserError(

@@ -136,11 +136,11 @@ class Strategies(Kind[SamplingSection]):
 ALGORITHMS = Kind(
     AlgorithmSection,
     {
+        "td3bc": "otc_dist.algorithms.td3bc:Td3Bc",
         "bcq": "otc_dist.algorithms.bcq:Bcq",
         "awac": "otc_dist.algorithms.awac:Awac",
         "cql": "otc_dist.algorithms.cql:Cql",
         "discrete-cql": "otc_dist.algorithms.discrete_cql:DiscreteCql",
-        "td3bc": "otc_dist.algorithms.td3bc:Td3Bc",
         "bremen": "otc_dist.algorithms.bremen.algorithm:Bremen",
     },
 )

@@ -62,7 +62,7 @@ class DynamicsSection(Section):
 class OfflineSection(Section):
     """Offline training to pi_0. Targets with tau 0.005 settle in tens of thousands of updates."""
 
-    updates: int = Field(default=100_000, ge=0, description="offline updates to pi_0")
+    updates: int = Field(default=50_000, ge=0, description="offline updates to pi_0")
     rows: Literal["all", "typical"] = Field(
         default="all",
         description="typical: values are learned from those whose s' is nearest to what a forward"
