@@ -27,6 +27,7 @@ from otc_dist.bus.wire import Rejections
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs.registry import team_spec
+from otc_dist.run.folder import RunFolder
 from otc_dist.transitions import JointStep
 
 TEAM = team_spec("hopper-3x1")
@@ -108,7 +109,7 @@ def _our_agent(index: int, endpoint: str) -> None:
 def ours(folder: Path) -> Iterator[Step]:
     endpoint = local_endpoint(folder)
     header = LogHeader("bench", 1, 0, "", "", TEAM, 1)
-    writer = LogWriter.create(folder / "bench.mcap", header)
+    writer = LogWriter.create(RunFolder(folder).deployment(1), header)
     seeds, state = np.zeros(1, np.int64), np.zeros((1, TEAM.state_size))
     with Session.listen([Endpoint(endpoint)], QUICK_PAYLOAD) as session, closing(writer):
         host = HostLockstep(

@@ -1,31 +1,40 @@
-"""What does somebody who subscribes to everything and never reads cost a run?
+"""What does somebody who looks on cost a run: by the view, or by all of the bus and never reading?
 
-    python benchmarks/observer.py [--rounds 7] [--steps 2000]
+    python benchmarks/observer.py [--rounds 7] [--steps 2000] [--kind view]
 
-The lock-step of benchmarks/lockstep.py (three agents, E = 1), without and with an observer of all
-keys, in pairs one after the other; the observer is a process of its own with Zenoh's own settings,
-as a stranger's would be:
+The lock-step of benchmarks/lockstep.py (three agents, E = 1), without and with somebody who looks
+on, in pairs one after the other:
+
+    view     the process of `launch --view`, and a page that asks it as often as a page may; it is
+             stopped and let go on every 100 lock-steps, so that both times are of the same moments
+
+or an observer of all keys, a process of its own with Zenoh's own settings, as a stranger's is:
 
     deaf     its handler never returns, so that Zenoh can hand on nothing more
     frozen   it is stopped (SIGSTOP) as soon as it has subscribed
     reading  for comparison: it takes everything, which costs processor time of the same machine
 
 Prints the ratio of the times a lock-step, median and range over the rounds, and the longest single
-step in any round. At most 1.05 is allowed for those that do not read. That needs a machine with
-little else to do. `--puts` needs none: how long it takes to publish 20,000 messages while such an
+step in any round. At most 1.05 is allowed for all but those that read the bus. What a browser takes
+to draw the page is not in it: it may be on another machine. That needs a machine with little else
+to do. `--puts` needs none: how long it takes to publish 20,000 messages while such an
 observer is there, and how often the publishing thread had to wait (voluntary context switches).
 """
 
 import argparse
+import json
 import multiprocessing as mp
 import os
 import resource
 import signal
+import socket
 import statistics
+import subprocess
 import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -37,10 +46,15 @@ from lockstep_transports import Step, ours
 from otc_dist.bus.endpoints import Endpoint, local_endpoint, remove_local_endpoint
 from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.session import Session
+from otc_dist.run.folder import RunFolder
 
 LIMIT = 1.05
+Measured = tuple[float, float]  # seconds a step, and of the longest
 MESSAGE, PUTS = bytes(300), 20_000
-KINDS = ("deaf", "frozen", "reading")
+OBSERVERS = ("deaf", "frozen", "reading")
+KINDS = ("view", *OBSERVERS)
+BLOCK = 100
+PACE = 0.5  # seconds between two questions of a page at least: PATIENCE in live.js
 
 
 def observe(endpoint: str, kind: str, ready: Connection) -> None:
@@ -84,6 +98,14 @@ def observer(endpoint: str, kind: str, step: Callable[[], None]) -> Iterator[Non
         process.join()
 
 
+def browse(url: str, asked: Connection) -> None:
+    """What a page asks for, each time with all that it has been given to go through."""
+    while True:
+        with urllib.request.urlopen(f"{url}newest", timeout=60) as answer:
+            asked.send(len(json.loads(answer.read())["numbers"]))
+        time.sleep(PACE)
+
+
 class Counter:
     """Lock-steps, numbered."""
 
@@ -94,7 +116,7 @@ class Counter:
         self._step(self._number)
         self._number += 1
 
-    def seconds(self, steps: int) -> tuple[float, float]:
+    def seconds(self, steps: int) -> Measured:
         """Seconds a step, and of the longest."""
         longest, start = 0.0, time.perf_counter()
         before = start
@@ -105,13 +127,59 @@ class Counter:
         return (before - start) / steps, longest
 
 
+def with_view(folder: Path, count: Counter, steps: int) -> tuple[Measured, Measured, int]:
+    """Of the run in `folder`, without and with its view, once a page of it has been answered; and
+    how often it was answered from then on.
+    """
+    RunFolder(folder).run_json.write_text('{"state": "running"}')
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "otc_dist.view", str(folder), "--at", str(port)]
+    context = mp.get_context("spawn")
+    ours_end, theirs = context.Pipe()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        assert server.stdout is not None
+        url = server.stdout.readline().strip()
+        page = context.Process(target=browse, args=(url, theirs), daemon=True)
+        page.start()
+        found: dict[signal.Signals, list[Measured]] = {signal.SIGSTOP: [], signal.SIGCONT: []}
+        try:
+            while not ours_end.poll():
+                count()
+            ours_end.recv()
+            for _ in range(0, steps, BLOCK):
+                for change, measured in found.items():
+                    server.send_signal(change)
+                    measured.append(count.seconds(BLOCK))
+            answers = 0
+            while ours_end.poll():
+                answers += ours_end.recv() > 0
+        finally:
+            page.kill()
+            page.join()
+            server.kill()
+    without, beside = (
+        (statistics.fmean(seconds for seconds, _ in each), max(slowest for _, slowest in each))
+        for each in found.values()
+    )
+    return without, beside, answers
+
+
+def with_observer(folder: Path, count: Counter, steps: int, kind: str) -> tuple[Measured, Measured]:
+    """Without and with an observer of the bus."""
+    without = count.seconds(steps)
+    with observer(local_endpoint(folder), kind, count):
+        return without, count.seconds(steps)
+
+
 def puts() -> None:
     """Print how long `put` takes with each observer."""
     with tempfile.TemporaryDirectory(prefix="observer") as name:
         endpoint = local_endpoint(Path(name))
         with Session.listen([Endpoint(endpoint)], QUICK_PAYLOAD) as session:
             put = session.publisher("otc/run/agent_0/observation")
-            for kind in ("none", *KINDS):
+            for kind in ("none", *OBSERVERS):
                 with ExitStack() as watched:
                     if kind != "none":
                         say = partial(put, MESSAGE)
@@ -137,26 +205,31 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--steps", type=int, default=2000, help="lock-steps a measurement")
+    parser.add_argument("--kind", choices=KINDS, action="append", help="of those (default: all)")
     parser.add_argument("--puts", action="store_true", help="time what is published, no lock-steps")
     arguments = parser.parse_args()
     if arguments.puts:
         puts()
         return 0
-    ratios: dict[str, list[float]] = {kind: [] for kind in KINDS}
-    longest: dict[str, float] = dict.fromkeys(("none", *KINDS), 0.0)
+    kinds = arguments.kind or KINDS
+    ratios: dict[str, list[float]] = {kind: [] for kind in kinds}
+    longest: dict[str, float] = dict.fromkeys(("none", *kinds), 0.0)
     alone: list[float] = []
+    answers = 0
     with tempfile.TemporaryDirectory(prefix="observer") as name, ours(Path(name)) as step:
         count = Counter(step)
         count.seconds(200)
         for _ in range(arguments.rounds):
-            for kind in KINDS:
-                without, slowest = count.seconds(arguments.steps)
-                longest["none"] = max(longest["none"], slowest)
-                alone.append(without)
-                with observer(local_endpoint(Path(name)), kind, count):
-                    seconds, slowest = count.seconds(arguments.steps)
-                ratios[kind].append(seconds / without)
-                longest[kind] = max(longest[kind], slowest)
+            for kind in kinds:
+                if kind == "view":
+                    without, beside, more = with_view(Path(name), count, arguments.steps)
+                    answers += more
+                else:
+                    without, beside = with_observer(Path(name), count, arguments.steps, kind)
+                alone.append(without[0])
+                ratios[kind].append(beside[0] / without[0])
+                longest["none"] = max(longest["none"], without[1])
+                longest[kind] = max(longest[kind], beside[1])
     print(
         f"no observer: {1e6 * statistics.median(alone):,.0f} us a lock-step,"
         f" longest {1e3 * longest['none']:,.0f} ms"
@@ -166,6 +239,8 @@ def main() -> int:
         median = statistics.median(values)
         line = f"{kind:8} {median:.3f} ({min(values):.3f}..{max(values):.3f}),"
         line += f" longest {1e3 * longest[kind]:,.0f} ms"
+        if kind == "view":
+            line += f", {answers} answers"
         if kind != "reading":
             missed |= median > LIMIT
             line += f"; at most {LIMIT}: {'met' if median <= LIMIT else 'MISSED'}"

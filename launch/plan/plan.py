@@ -157,8 +157,8 @@ class Plan:
             yield f"  {process.name}: {shlex.join(process.command)}"
             for does, keys in vars(process.uses).items():
                 yield from (f"      {does:9} {key}" for key in keys)
-        if self.beside.tracker:
-            yield f"beside       {shlex.join(self.beside.tracking(self.folder.root))}"
+        for companion in self.beside.companions(self.folder.root):
+            yield f"beside       {shlex.join(companion.command)}"
         seconds = sum(part.seconds for part in self.parts)
         making = "" if self._cached else ", and what the data take to make"
         yield f"time         about {duration(seconds)}{making}"
@@ -204,9 +204,10 @@ def make(
     """The plan of a resolved description, `run` being its name on the bus.
 
     Raises:
-        UserError: an unknown environment.
+        UserError: an unknown environment, or one of which nothing is to be seen as is asked for.
     """
     spec = team_of(description)
+    beside.check_team(spec)
     keys = Keys(run, description.shared_digest())
 
     def process(name: str) -> Process:

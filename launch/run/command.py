@@ -56,7 +56,7 @@ _TOGETHER = {
     "list": ("--list lists what there is", ()),
     "resume": (
         "--resume continues the run as it was begun",
-        ("deployments", "track", "prometheus"),
+        ("deployments", "track", "prometheus", "view"),
     ),
     "hosts": (
         "--hosts says what each host does",

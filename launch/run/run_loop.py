@@ -34,8 +34,8 @@ from ..supervise.observer import Sign, Waiting, nobody_of_run, observing
 from ..supervise.processes import MISTAKE, DiedError, RunProcesses
 from ..supervise.signals import Signals
 from ..supervise.supervisor import Supervisor
+from .companions import Companions
 from .one_off import StoppedError, run_one_off
-from .tracking import Tracking
 
 REFRESH = 0.5  # seconds between two looks at the statuses
 FAREWELL = 30.0  # seconds that the learners may take to end after the host has
@@ -54,17 +54,18 @@ def run_plan(plan: Plan, record: RunRecord) -> int:
         title += f" ({descriptions.QUICK_LABEL})"
     say(f"{title}: {plan.folder.root}")
     strangers = nobody_of_run(plan, record.run)
-    for line in filter(None, (plan.placement.meeting, plan.placement.missing or strangers)):
+    met = (plan.placement.meeting, plan.placement.missing or strangers)
+    for line in filter(None, (*met, plan.beside.address)):
         say(line)
     for remark in registry.remarks(plan.description.env.id):
         print(f"{plan.description.env.id}: {remark}", flush=True)
     ledger = Ledger(record, plan.folder)
     with Signals() as signals:
         try:
-            with Tracking(plan.beside, plan.folder, signals) as tracking:
+            with Companions(plan.beside, plan.folder, signals) as companions:
                 with Supervisor(signals) as supervisor:
                     if record.state != "reporting":  # else all is done but the report
-                        _work(plan, ledger, supervisor, signals, title, tracking)
+                        _work(plan, ledger, supervisor, signals, title, companions)
                         ledger.enter("reporting")
                     _do(plan, plan.conclusions, supervisor, signals)
                     ledger.enter("finished")
@@ -120,7 +121,7 @@ def _work(
     supervisor: Supervisor,
     signals: Signals,
     title: str,
-    tracking: Tracking,
+    companions: Companions,
 ) -> None:
     """Prepare and run the processes, until they have made all that they are to make.
 
@@ -137,7 +138,7 @@ def _work(
     if plan.data_folder is not None:
         shutil.copyfile(plan.data_folder / CARD, folder.dataset_card)
     with open_view(title) as view:
-        _run(plan, ledger, supervisor, signals, view, tracking)
+        _run(plan, ledger, supervisor, signals, view, companions)
         # Learners read what they have written before they leave; the disk may damage it later.
         if damage := damaged_checkpoints(folder, description, plan.placement, plan.learners):
             if plan.placement.role != "all":
@@ -148,7 +149,7 @@ def _work(
             view.say(f"{damage[0][0]}; it and what follows are made again")
             for path in (path for _, paths in damage for path in paths):
                 path.unlink(missing_ok=True)
-            _run(plan, ledger, supervisor, signals, view, tracking)
+            _run(plan, ledger, supervisor, signals, view, companions)
 
 
 def _do(
@@ -164,7 +165,7 @@ def _run(
     supervisor: Supervisor,
     signals: Signals,
     view: View,
-    tracking: Tracking,
+    companions: Companions,
 ) -> None:
     """Start all processes, and again those that die, and show them until all have ended well."""
     processes = RunProcesses(plan, supervisor)
@@ -202,7 +203,7 @@ def _run(
             if signals.stop:
                 raise StoppedError
             finished = processes.look()
-            board.events += processes.drain_events() + tracking.events()
+            board.events += processes.drain_events() + companions.events()
             if board.newest.get(HOST, Status(HOST)).phase == "approval":
                 # Not by the phase between two: a short deployment may be over before it is seen.
                 lines = waiting_lines(plan.folder)

@@ -3,6 +3,7 @@
 import argparse
 import base64
 import json
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -32,20 +33,34 @@ def run(arguments: argparse.Namespace) -> int:
 def render(timeline: Timeline) -> str:
     """The page."""
     header = timeline.header
-    steps = f"steps {timeline.numbers[0]:,} to {timeline.numbers[-1]:,}"
     lead = (
-        f"{header.team.env_id} · {steps} of copy {timeline.copy} · seed {header.seed}"
-        f" · otc_dist {header.versions.get('otc_dist', '?')}"
+        f"{about(timeline)} · seed {header.seed} · otc_dist {header.versions.get('otc_dist', '?')}"
     )
     if timeline.extent.shortfall is not None:
         lead += f" · {timeline.extent.shortfall}"
+    return filled(title(timeline), lead, packed(timeline))
+
+
+def title(timeline: Timeline) -> str:
+    """Of which run and deployment it is."""
+    return f"{timeline.header.run}, deployment {timeline.header.deployment}"
+
+
+def about(timeline: Timeline) -> str:
+    """Which part of that it is."""
+    steps = f"steps {timeline.numbers[0]:,} to {timeline.numbers[-1]:,}"
+    return f"{timeline.header.team.env_id} · {steps} of copy {timeline.copy}"
+
+
+def filled(title: str, lead: str, packed: Mapping[str, object], *more: str) -> str:
+    """The page with this in it, and with `more` of the viewer's scripts."""
     return Template(_part("page.html")).substitute(
-        title=on_page(f"{header.run}, deployment {header.deployment}"),
+        title=on_page(title),
         lead=on_page(lead),
         style=_part("style.css"),
-        script="\n".join(map(_part, _SCRIPTS)),
+        script="\n".join(map(_part, (*_SCRIPTS, *more))),
         # Within a script element nothing is unescaped, and "</script" would end it.
-        timeline=json.dumps(_packed(timeline), separators=(",", ":")).replace("<", "\\u003c"),
+        timeline=json.dumps(packed, separators=(",", ":")).replace("<", "\\u003c"),
     )
 
 
@@ -53,7 +68,7 @@ def _part(name: str) -> str:
     return resources.files("otc_dist.replay").joinpath("viewer", name).read_text(encoding="utf-8")
 
 
-def _packed(timeline: Timeline) -> dict[str, object]:
+def packed(timeline: Timeline) -> dict[str, object]:
     """The timeline as the viewer reads it: arrays in base64, little-endian, in C order."""
     return {
         "seconds": timeline.scene.seconds if timeline.scene is not None else _SECONDS,

@@ -1,6 +1,7 @@
 """A part of a log as arrays over its steps: what pictures of it are made of."""
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -94,7 +95,7 @@ def selected_timeline(arguments: argparse.Namespace) -> Timeline:
         if selection.start == selection.stop:
             raise UserError(f"{log.path} has no steps to show")
         note_shortfall(summary)
-        return read_timeline(log, summary, selection)
+        return _read(log, summary, selection)
 
 
 def highlights(arguments: argparse.Namespace) -> list[tuple[str, Timeline]]:
@@ -124,35 +125,35 @@ def highlights(arguments: argparse.Namespace) -> list[tuple[str, Timeline]]:
         else:
             chosen = {f"best of {len(ranked)} episodes": ranked[-1]}
             chosen[f"worst of {len(ranked)} episodes"] = ranked[0]
-        return [
-            (
-                name,
-                read_timeline(
-                    log,
-                    summary,
-                    replace(
-                        selection,
-                        start=one.start,
-                        stop=one.start + one.length,
-                        copy=one.copy,
-                    ),
-                ),
-            )
+        parts = {
+            name: replace(selection, start=one.start, stop=one.start + one.length, copy=one.copy)
             for name, one in chosen.items()
-        ]
+        }
+        return [(name, _read(log, summary, part)) for name, part in parts.items()]
 
 
-def read_timeline(log: OpenLog, summary: LogSummary, selection: Selection) -> Timeline:
+def _read(log: OpenLog, summary: LogSummary, selection: Selection) -> Timeline:
+    copy, scene = selection.copy or 0, find(log.header.team)
+    episodes = {n: one.start for n, one in enumerate(summary.episodes) if one.copy == copy}
+    return read_timeline(log, episodes, selection, scene)
+
+
+def read_timeline(
+    log: OpenLog, episodes: Mapping[int, int], selection: Selection, scene: Scene | None
+) -> Timeline:
     """The selected steps of the selected copy, or of the first one.
 
     What lies before is read only as far back as the beginning of the episode, for its return.
+
+    Args:
+        episodes: those of that copy, in order: number in the log -> first step.
+        scene: that of its team.
 
     Raises:
         DamagedLogError: a step is damaged.
     """
     copy = selection.copy or 0
-    of_copy = [n for n, episode in enumerate(summary.episodes) if episode.copy == copy]
-    starts = np.array([summary.episodes[n].start for n in of_copy], np.int64)
+    of_copy, starts = (np.array([*part], np.int64) for part in (episodes, episodes.values()))
     before = int(np.searchsorted(starts, selection.start, "right")) - 1
     begin = int(starts[before]) if before >= 0 else selection.start
 
@@ -168,9 +169,9 @@ def read_timeline(log: OpenLog, summary: LogSummary, selection: Selection) -> Ti
         extent=log.extent,
         copy=copy,
         places=places,
-        scene=find(team),
+        scene=scene,
         numbers=numbers[wanted],
-        episodes=np.array(of_copy, np.int64)[which[wanted]],
+        episodes=of_copy[which[wanted]],
         ordinals=which[wanted] + 1,
         states=columns["state"][wanted],
         rewards=rewards[wanted],

@@ -11,7 +11,11 @@ from typing import Annotated
 from pydantic import ConfigDict, Field, FiniteFloat
 from typing_extensions import TypedDict
 
+from otc_dist.run.folder import RunFolder
 from otc_dist.system import records
+from otc_dist.terminal.errors import UserError
+
+GOING_ON = ("running", "reporting")  # states of a run that has not ended
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 
@@ -74,6 +78,14 @@ class Line:
 def record(path: Path) -> Record:
     """run.json. Raises FileNotFoundError, UserError; so do those below."""
     return records.read_json(Record, path)
+
+
+def run_record(folder: RunFolder) -> Record:
+    """run.json of a run that is only looked at. Raises UserError if `folder` is no run's."""
+    try:
+        return record(folder.run_json)
+    except FileNotFoundError:
+        raise UserError(f"{folder.root} is no run folder: it has no run.json") from None
 
 
 def card(path: Path) -> Card:

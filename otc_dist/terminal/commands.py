@@ -59,6 +59,9 @@ COMMANDS = {
     "report": Command(
         "write the report of a run or of a comparison again", "otc_dist.report.__main__"
     ),
+    "view": Command(
+        "show a run's newest deployment in a browser, as it goes on", "otc_dist.view.__main__"
+    ),
     "track": Command("write a run to a tracker: TensorBoard, MLflow", "otc_dist.track.__main__"),
     "datasets": Command("list, make, show and import offline data", "otc_dist.datasets.__main__"),
     "certs": Command("make certificates for a run on several hosts", "otc_dist.certs.__main__"),

@@ -16,7 +16,6 @@ from otc_dist.track.points import GREEDY, MEASURED, Points
 from otc_dist.track.trackers import About, open_tracker
 
 _LOOK = 2.0  # seconds between two looks at the run's folder
-_GOING_ON = ("running", "reporting")
 _LOCK = ".otc_dist.lock"
 
 
@@ -39,7 +38,7 @@ def write(
         try:
             while True:
                 # Looked at before the points: those of its last moment are read as well.
-                last = ended is None or ended.is_set() or _state(folder) not in _GOING_ON
+                last = ended is None or ended.is_set() or _state(folder) not in files.GOING_ON
                 for each in points.new():
                     tracker.log(each.source, each.step, each.values)
                 tracker.flush()
@@ -52,18 +51,11 @@ def write(
 
 
 def _state(folder: RunFolder) -> str:
-    return _record(folder).get("state", "")
-
-
-def _record(folder: RunFolder) -> files.Record:
-    try:
-        return files.record(folder.run_json)
-    except FileNotFoundError:
-        raise UserError(f"{folder.root} is no run folder: it has no run.json") from None
+    return files.run_record(folder).get("state", "")
 
 
 def _about(folder: RunFolder) -> About:
-    record = _record(folder)
+    record = files.run_record(folder)
     return About(
         name=folder.root.name,
         identity=f"{record.get('run', folder.root.name)} {record.get('started', '')}",

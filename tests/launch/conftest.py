@@ -17,6 +17,7 @@ from otc_dist.run.folder import RunFolder
 
 AGENTS = ("agent_0", "agent_1", "agent_2")  # of the runs here
 CHECKSUM = 4  # the last bytes of a logged step, which differ with the run's name
+_MODULES = ("otc_dist.services", "otc_dist.track", "otc_dist.view")
 DEADLINE = 600.0  # seconds: a test that waits longer has failed
 
 
@@ -135,14 +136,14 @@ def launch(tmp_path: Path) -> Iterator[Callable[..., Launcher]]:
 
 
 def processes_of(run: Path) -> dict[str, int]:
-    """Services and trackers of that run which are alive now: command line -> process id."""
+    """Services of that run, and what is beside it, alive now: command line -> process id."""
     found = {}
     for entry in Path("/proc").iterdir():
         try:
             command = (entry / "cmdline").read_bytes().decode().split("\0")
         except (OSError, UnicodeDecodeError):
             continue  # it ended meanwhile, or is no process
-        ours = any(word.startswith(("otc_dist.services", "otc_dist.track")) for word in command)
+        ours = any(word.startswith(_MODULES) for word in command)
         if str(run) in command and ours:
             found[" ".join(command[1:])] = int(entry.name)
     return found

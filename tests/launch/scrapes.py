@@ -1,4 +1,4 @@
-"""What a Prometheus would read."""
+"""What a Prometheus, or a browser, would read."""
 
 import socket
 import urllib.request
@@ -13,10 +13,16 @@ def free_port() -> int:
     return port
 
 
+def asked_of(port: int, path: str) -> str:
+    """The answer of a server of ours."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/{path}", timeout=60) as answer:
+        text: str = answer.read().decode()
+    return text
+
+
 def scraped(port: int) -> dict[tuple[str, str], float]:
     """(name, its label but the run's, or "") -> value."""
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=60) as answer:
-        text = answer.read().decode()
+    text = asked_of(port, "metrics")
     return {
         (
             sample.name,

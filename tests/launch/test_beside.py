@@ -10,8 +10,8 @@ import pytest
 
 from otc_dist.bus.messages import Status
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.plan.beside import Beside
-from otc_dist.launch.run.tracking import Tracking
+from otc_dist.launch.plan.beside import Beside, Companion
+from otc_dist.launch.run.companions import Companions
 from otc_dist.launch.supervise import supervisor
 from otc_dist.launch.supervise.signals import Signals
 from otc_dist.run.folder import RunFolder
@@ -31,13 +31,14 @@ def taken() -> Iterator[int]:
         yield there.getsockname()[1]
 
 
+@pytest.mark.parametrize("flag", ["--prometheus", "--view"])
 @pytest.mark.parametrize("dry", [[], ["--dry-run"]])
 def test_a_port_that_is_taken_is_one_line_before_anything_is_made(
-    taken: int, tmp_path: Path, dry: list[str]
+    taken: int, tmp_path: Path, dry: list[str], flag: str
 ) -> None:
     out = tmp_path / "run"
     with pytest.raises(UserError) as refused:
-        main(["navigation", "--quick", "--prometheus", str(taken), "--out", str(out), *dry])
+        main(["navigation", "--quick", flag, str(taken), "--out", str(out), *dry])
     assert str(refused.value) == f"cannot listen at 127.0.0.1:{taken}: Address already in use"
     assert not out.exists()
 
@@ -58,6 +59,21 @@ def test_a_port_that_is_taken_is_one_line_before_anything_is_made(
                 *("--insecure", "--prometheus", "9400"),
             ],
             "--prometheus is for where the env host is",
+        ),
+        (["--view", "navigation"], "'navigation' is no port"),
+        (
+            [
+                *("--view", "--set", "env.id=mpe2.simple_spread_v3:parallel_env"),
+                *("--set", "algorithm.name=discrete-cql"),
+            ],
+            "there is nothing to view: the states of mpe2",
+        ),
+        (
+            [
+                *("--role", "learner", "--agent", "agent_0", "--connect", "tcp/127.0.0.1:7447"),
+                *("--insecure", "--view", "8700"),
+            ],
+            "--view is for where the env host is",
         ),
     ],
 )
@@ -125,7 +141,7 @@ _FAILS = "import sys; {there}; sys.exit('error: the disk is full')"
     ],
     ids=["ends", "hangs", "fails"],
 )
-def test_a_tracker_that_hangs_or_fails_is_one_line_and_ends_with_the_launcher(
+def test_a_companion_that_hangs_or_fails_is_one_line_and_ends_with_the_launcher(
     code: str,
     said: str | None,
     tmp_path: Path,
@@ -135,17 +151,18 @@ def test_a_tracker_that_hangs_or_fails_is_one_line_and_ends_with_the_launcher(
     fifo = tmp_path / "there"
     os.mkfifo(fifo)
     command = (sys.executable, "-c", code.format(there=f"open({str(fifo)!r}, 'w').close()"))
-    monkeypatch.setattr(Beside, "tracking", lambda *_: command)
+    made = Companion("tracking", command, "all is written by hand")
+    monkeypatch.setattr(Beside, "companions", lambda *_: [made])
     if code == _HANGS:
         monkeypatch.setattr(supervisor, "GRACE", 0.1)
     with Signals() as signals:
-        with Tracking(Beside("mlflow"), RunFolder(tmp_path), signals) as tracking:
+        with Companions(Beside("mlflow"), RunFolder(tmp_path), signals) as companions:
             fifo.open().close()
-            while code == _FAILS and not (lines := tracking.events()):
+            while code == _FAILS and not (lines := companions.events()):
                 signals.wait(60.0)
         shown = capfd.readouterr().out
     if code == _FAILS:
-        assert shown == "" and lines[0].startswith(str(said)) and len(lines) == 1
+        assert shown == "" and lines == [f"{said}, and all is written by hand"]
     elif said is None:
         assert shown == ""
     else:

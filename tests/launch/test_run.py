@@ -28,7 +28,7 @@ from tests.track.readers import READERS, measured
 
 from .conftest import AGENTS, Hold, Launcher, processes_of, same, wait_for_end
 from .namespaces import star
-from .scrapes import free_port, scraped
+from .scrapes import asked_of, free_port, scraped
 
 pytestmark = pytest.mark.slow
 
@@ -63,13 +63,14 @@ def test_a_run_that_is_stopped_in_every_way_leaves_no_process_and_ends_the_same(
     """One after the other, each after a resume from the one before.
 
     A tracker that is told of it comes with some launchers, goes with each, and holds all in the
-    end; what watches the env host changes nothing either.
+    end; what watches the env host or shows its log changes nothing either.
     """
     folder = RunFolder(tmp_path / "run")
     port = free_port()
     beside = {
         0: ("--track", "tensorboard"),
         2: ("--prometheus", str(port)),
+        3: ("--view", str(port)),
         4: ("--track", "tensorboard"),
     }
     command = ["3agent_hopper", *tiny_flags, "--out", "run"]
@@ -87,7 +88,7 @@ def test_a_run_that_is_stopped_in_every_way_leaves_no_process_and_ends_the_same(
         launcher.read_until(lambda status, line=line: status.startswith(line))
         running = processes_of(folder.root)
         children = list(running.values())
-        assert len(children) == 4 + ("--track" in asked)
+        assert len(children) == 4 + bool({"--track", "--view"} & set(asked))
         if number == 0:
             (tracker,) = (pid for words, pid in running.items() if "otc_dist.track" in words)
             os.kill(tracker, signal.SIGKILL)
@@ -99,6 +100,12 @@ def test_a_run_that_is_stopped_in_every_way_leaves_no_process_and_ends_the_same(
             assert found["otc_lock_steps_total", ""] > 0  # of evaluation 0
             evaluated = json.loads(folder.evaluation(0).read_text())
             assert found["otc_return", "greedy"] == evaluated["mean_return"]
+        if "--view" in asked:
+            assert f"its deployments are shown at http://127.0.0.1:{port}/" in launcher.text
+            view = next(pid for words, pid in running.items() if "otc_dist.view" in words)
+            assert os.getpriority(os.PRIO_PROCESS, view) == 19
+            newest = json.loads(asked_of(port, "newest"))
+            assert (newest["deployment"], newest["scene"]["bodies"][0]["name"]) == (1, "torso")
         launcher.process.send_signal(by)
         if by == signal.SIGKILL:  # nobody is left to stop the others in order
             wait_for_end(children)

@@ -3,8 +3,6 @@
 import base64
 import json
 import re
-import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from otc_dist.scenes.families import find
 from otc_dist.scenes.scene import AGENT_COLOURS
 from otc_dist.transitions import JointStep
 
+from .browser import FRAMES, browse
 from .conftest import Replay
 from .played import play
 
@@ -156,31 +155,6 @@ def test_mistakes(page: Path, deployment, tmp_path: Path, refused: Callable[...,
 # ---- In a browser
 
 
-@pytest.fixture(scope="module")
-def chromium() -> str:
-    for name in ("chromium", "chromium-browser", "google-chrome"):
-        if found := shutil.which(name):
-            return found
-    pytest.skip("no Chromium is installed (on Debian: apt-get install chromium)")
-
-
-def browse(chromium: str, profile: Path, url: str, *flags: str) -> str:
-    done = subprocess.run(
-        [
-            chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-            f"--user-data-dir={profile}", "--virtual-time-budget=4000", *flags, url,
-        ],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
-    return done.stdout
-
-
-# Without a window Chromium draws one frame and no more.
-_FRAMES = """<head>
-<script>
-window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 16);
-</script>
-"""
 # What a user does, and what then stands in the page.
 _USE = """
 <script>
@@ -224,11 +198,11 @@ def number_of(text: str) -> float:
 
 
 @pytest.mark.slow
-def test_a_browser_plays_the_page(page: Path, deployment, tmp_path: Path, chromium: str) -> None:
+def test_a_browser_plays_the_page(page: Path, deployment, tmp_path: Path) -> None:
     _, steps = deployment
     used = tmp_path / "used.html"
-    used.write_text(page.read_text().replace("<head>", _FRAMES).replace("</body>", _USE))
-    dom = browse(chromium, tmp_path / "profile", f"file://{used}#step=37", "--dump-dom")
+    used.write_text(page.read_text().replace("<head>", FRAMES).replace("</body>", _USE))
+    dom = browse(tmp_path / "profile", f"file://{used}#step=37", "--dump-dom")
     (found,) = re.findall(r'<pre id="seen">(.*?)</pre>', dom)
     seen = json.loads(found)
     assert "error" not in seen
@@ -253,13 +227,12 @@ def test_a_browser_plays_the_page(page: Path, deployment, tmp_path: Path, chromi
 
 
 @pytest.mark.slow
-def test_a_browser_draws_the_page(page: Path, tmp_path: Path, chromium: str) -> None:
+def test_a_browser_draws_the_page(page: Path, tmp_path: Path) -> None:
     """The links are there in their agents' colours, and they move."""
     places = []
     for step in (0, 15):
         shot = tmp_path / f"{step}.png"
         browse(
-            chromium,
             tmp_path / "profile",
             f"file://{page}#step={step}",
             f"--screenshot={shot}",

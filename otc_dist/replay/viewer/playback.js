@@ -1,6 +1,7 @@
 // Moving through the timeline: playing, dragging, keys, links.
 
 let asked = false;
+let atEnd = () => {}; // what else happens where it has played to the end
 
 function redraw() {
   if (asked) return;
@@ -18,8 +19,10 @@ let before = null;
 function advance(now) {
   if (playing && before !== null) {
     position += ((now - before) / 1000 / timeline.seconds) * speed;
-    if (position >= count - 1) [position, playing] = [count - 1, false];
+    const ends = position >= count - 1;
+    if (ends) [position, playing] = [count - 1, false];
     follow();
+    if (ends) atEnd();
   }
   before = playing ? now : null;
 }

@@ -1,17 +1,16 @@
 // The plots: episodes, rewards, returns and actions over the steps, under one cursor.
 
-// Each: what is over the steps, as lines [name, colour, dash, value of step i].
+// Each: what is over the steps, by a function that gives lines [name, colour, dash, value of step i].
 const charts = [];
-const shared = rewards.every((reward, k) => reward === rewards[k - (k % team)]);
 const dashes = [[], [6, 3], [2, 3], [8, 3, 2, 3]];
 
-function chart(title, lines, { fixed = null, say = format, plot = drawLines, look = "" } = {}) {
+function chart(title, of, { fixed = null, say = format, plot = drawLines, look = "" } = {}) {
   const canvas = document.createElement("canvas");
   canvas.className = look;
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", `${title} over the steps`);
   byId("plots").append(canvas);
-  charts.push({ title, lines, fixed, say, plot, canvas });
+  charts.push({ title, of, fixed, say, plot, canvas });
 }
 
 function ofAgents(values) {
@@ -20,12 +19,12 @@ function ofAgents(values) {
     [agent.name, agent.colour, dashes[Math.floor(n / 6) % 4], (i) => values[i * team + n]]);
 }
 
-chart("", [], { plot: drawSteps, look: "steps" });
-chart("reward", ofAgents(rewards));
-chart("return so far", ofAgents(returns));
+chart("", () => [], { plot: drawSteps, look: "steps" });
+chart("reward", () => ofAgents(rewards));
+chart("return so far", () => ofAgents(returns));
 for (const [n, agent] of timeline.agents.entries()) {
   const size = agent.low.length;
-  const lines = agent.low.map((_, j) =>
+  const lines = () => agent.low.map((_, j) =>
     [size > 1 ? `[${j}]` : "", agent.colour, dashes[j % 4], (i) => actions[n][i * size + j]]);
   const fixed = [Math.min(...agent.low), Math.max(...agent.high)];
   // Choices have no order that a height could show: each has a colour of its own.
@@ -50,14 +49,15 @@ const [LEFT, RIGHT, TOP, BOTTOM] = [64, 12, 22, 8];
 
 // What does not change with the cursor is drawn once, and then copied.
 function drawChart(chart) {
-  const { title, lines, say, plot, canvas } = chart;
+  const { title, of, say, plot, canvas } = chart;
+  const lines = of();
   const { context, width, height } = fit(canvas);
   const style = styles();
   const kept = [...shown, canvas.width, canvas.height, style.getPropertyValue("--line")].join();
-  if (chart.kept !== kept) {
+  if (chart.kept !== kept || chart.drawn !== timeline) {
     chart.layer ??= document.createElement("canvas");
-    plot(chart, style);
-    chart.kept = kept;
+    plot({ ...chart, lines }, style);
+    [chart.kept, chart.drawn] = [kept, timeline];
   }
   context.drawImage(chart.layer, 0, 0, width, height);
 

@@ -2,43 +2,56 @@
 // The timeline: arrays over T steps, as `otc_dist.replay.html` packed them, and the numbers beside
 // the scene. The other scripts follow after it in the same page.
 
-const timeline = JSON.parse(document.getElementById("timeline").textContent);
-
 function unpack(packed, Kind) {
   const bytes = Uint8Array.from(atob(packed), (letter) => letter.charCodeAt(0));
   return new Kind(bytes.buffer);
 }
 
-const numbers = unpack(timeline.numbers, Int32Array);
-const episodes = unpack(timeline.episodes, Int32Array);
-const rewards = unpack(timeline.rewards, Float32Array); // T x agents
-const returns = unpack(timeline.returns, Float32Array);
-const actions = timeline.agents.map((agent) => unpack(agent.actions, Float32Array));
-const exploring = unpack(timeline.exploring, Uint8Array);
-const scene = timeline.scene;
-const poses = scene && unpack(scene.poses, Float32Array); // T x bodies x (u, v, angle)
-const levels = scene && unpack(scene.levels, Float32Array); // T x bodies
-const count = numbers.length;
-const team = timeline.agents.length;
+let timeline, numbers, episodes, rewards, returns, actions, exploring, scene, poses, levels;
+let count; // T
+let team; // agents
+let shared; // whether all agents have the same rewards
+let starts; // the steps at which episodes begin, as places on the timeline
+let begins;
+let shown; // what the plots show of the timeline
+let position; // on the timeline; between two steps while it plays
 
-const starts = []; // the steps at which episodes begin, as places on the timeline
-for (let i = 0; i < count; i++) {
-  if (i === 0 || episodes[i] !== episodes[i - 1] || numbers[i] !== numbers[i - 1] + 1) {
-    starts.push(i);
+// Show a timeline from its beginning.
+function take(packed) {
+  timeline = packed;
+  numbers = unpack(timeline.numbers, Int32Array);
+  episodes = unpack(timeline.episodes, Int32Array);
+  rewards = unpack(timeline.rewards, Float32Array); // T x agents
+  returns = unpack(timeline.returns, Float32Array);
+  actions = timeline.agents.map((agent) => unpack(agent.actions, Float32Array));
+  exploring = unpack(timeline.exploring, Uint8Array);
+  scene = timeline.scene;
+  poses = scene && unpack(scene.poses, Float32Array); // T x bodies x (u, v, angle)
+  levels = scene && unpack(scene.levels, Float32Array); // T x bodies
+  count = numbers.length;
+  team = timeline.agents.length;
+  shared = rewards.every((reward, k) => reward === rewards[k - (k % team)]);
+  starts = [];
+  for (let i = 0; i < count; i++) {
+    if (i === 0 || episodes[i] !== episodes[i - 1] || numbers[i] !== numbers[i - 1] + 1) {
+      starts.push(i);
+    }
   }
+  begins = new Set(starts);
+  shown = [0, Math.max(count - 1, 1)];
+  position = 0;
 }
 
-const begins = new Set(starts);
+take(JSON.parse(document.getElementById("timeline").textContent));
+
 const episodeAt = (i) => starts.findLastIndex((start) => start <= i); // as places in `starts`
 
 const byId = (id) => document.getElementById(id);
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const styles = () => getComputedStyle(document.documentElement);
 
-let position = 0; // on the timeline; between two steps while it plays
 let playing = false;
 let speed = 1; // of the task's own time
-let shown = [0, Math.max(count - 1, 1)]; // what the plots show of the timeline
 
 function format(value) {
   if (!Number.isFinite(value)) return "–";
