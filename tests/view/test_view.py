@@ -142,6 +142,7 @@ def test_a_run_that_has_lost_steps_and_takes_them_again(folder: RunFolder, first
     os.truncate(log, log.stat().st_size * 9 // 10)
     timeline = newest.stretch()
     assert timeline is not None and 20 < timeline.numbers[-1] + 1 < 30
+    assert newest.stretch(Step(1, 28)) is None
 
 
 def test_damage_is_said_and_the_view_goes_on(folder: RunFolder, first: Playing) -> None:
@@ -163,9 +164,12 @@ def test_damage_is_said_and_the_view_goes_on(folder: RunFolder, first: Playing) 
 
 
 def test_what_cannot_be_shown_is_one_line(folder: RunFolder, tmp_path: Path) -> None:
+    over = threading.Event()
+    over.set()
+
     def refused(folder: RunFolder, port: Port) -> str:
         with pytest.raises(UserError) as why:
-            serve(folder, port, threading.Event())
+            serve(folder, port, over)
         return str(why.value)
 
     free = Port("127.0.0.1", free_port())
@@ -188,7 +192,11 @@ def test_the_command_answers_until_it_is_ended(folder: RunFolder, first: Playing
     first.take(2)
     port = free_port()
     command = [sys.executable, "-m", "otc_dist.view", str(folder.root), "--at", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view,
+        contextlib.ExitStack() as stack,
+    ):
+        stack.callback(view.kill)
         assert view.stdout is not None
         assert view.stdout.readline() == f"http://127.0.0.1:{port}/\n"
         assert os.getpriority(os.PRIO_PROCESS, view.pid) == 19
