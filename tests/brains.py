@@ -32,7 +32,7 @@ SMALL: dict[str, Any] = {
     "name": "small",
     "env": {"id": "hopper-3x1"},
     "dataset": {"name": "hopper-3x1/medium-replay"},
-    "algorithm": {"hidden": [8, 8], "batch_size": 16, "acting_candidates": 7},
+    "algorithm": {"name": "bcq", "hidden": [8, 8], "batch_size": 16, "acting_candidates": 7},
     "embedding": {"hidden": [8], "size": 4, "updates": 10, "batch_size": 32, "minimum_active": 0},
     "dynamics": {"hidden": [8], "updates": 10, "batch_size": 16, "correction_updates": 50},
     "sampling": {"candidates": 32, "references": 24, "similarity_sample": 100},

@@ -34,16 +34,21 @@ def test_round_trip_through_toml(tmp_path: Path) -> None:
     assert changed.algorithm.hidden == (32, 16, 8)
 
 
-def test_the_papers_numbers_are_the_defaults() -> None:
+def test_the_papers_numbers_are_otcs_defaults() -> None:
     d = minimal("sampling.name=otc")
     assert (d.sampling.candidates, d.sampling.references, d.algorithm.batch_size) == (
         512,
         2000,
         128,
     )
-    assert (d.algorithm.name, d.algorithm.discount, d.embedding.size) == ("bcq", 0.99, 10)
+    assert (d.algorithm.discount, d.embedding.size) == (0.99, 10)
     assert (d.deployment.count, d.deployment.fraction) == (10, 0.01)
     assert (d.sampling.alpha, d.sampling.adaptive, d.sampling.matching) == (1.0, True, "minibatch")
+
+
+def test_the_default_is_what_is_shown_to_help() -> None:
+    d = minimal()
+    assert (d.algorithm.name, d.sampling.name, d.offline.updates) == ("td3bc", "uniform", 50_000)
 
 
 @pytest.mark.parametrize(
@@ -207,9 +212,9 @@ def test_a_summary_is_not_kept_for_something_else() -> None:
     }
     assert Description.build(data, ["sampling.alpha=2.0"]).heading == "two of a flock"
     three = Description.build(data, ["env.agents=3"])
-    assert three.heading == "flock-3/random: bcq tuned by uniform sampling"
+    assert three.heading == "flock-3/random: td3bc tuned by uniform sampling"
     uniform = Description.build(data, ["sampling.name=uniform"])
-    assert uniform.heading == "flock-2/random: bcq tuned by uniform sampling"
+    assert uniform.heading == "flock-2/random: td3bc tuned by uniform sampling"
     assert Description.build(data, ["env.agents=3", "summary=mine"]).heading == "mine"
 
 
@@ -224,7 +229,7 @@ OTHER = {
     "summary": "other",
     "env.id": "walker2d-2x3",
     "dataset.name": "other",
-    "algorithm.name": "td3bc",
+    "algorithm.name": "bcq",
     "algorithm.hidden": [3],
     "sampling.density_hidden": [3],
     "deployment.exploration": "sequential",

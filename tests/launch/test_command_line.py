@@ -150,7 +150,7 @@ def test_dry_run_prints_the_plan_and_starts_nothing(
         "/agent_1/observation",
         "100 transitions per agent",
         "agent_2/observation",
-        "100,000 offline updates",
+        "50,000 offline updates",
         "10 deployments of 4 transitions",  # 1% of 100 is 1: rounded up to the copies
     ):
         assert wanted in printed

@@ -17,7 +17,7 @@ def learners() -> list[Learner]:
         *ARMS["uniform"],
         "offline.updates=5",
         "evaluation.episodes=2",
-        "algorithm.acting_candidates=3",
+        "algorithm={name='bcq',acting_candidates=3}",
     )
     return [
         pretrained(*tiny, spec=spec, data=transitions(i, 100, spec))
