@@ -54,7 +54,7 @@ MESSAGE, PUTS = bytes(300), 20_000
 OBSERVERS = ("deaf", "frozen", "reading")
 KINDS = ("view", *OBSERVERS)
 BLOCK = 100
-PACE = 0.5  # seconds between two questions of a page at least: PATIENCE in live.js
+PACE = 1.0  # seconds between two questions of a page at least: PATIENCE in live.js
 
 
 def observe(endpoint: str, kind: str, ready: Connection) -> None:
@@ -103,7 +103,7 @@ def browse(url: str, asked: Connection) -> None:
     while True:
         with urllib.request.urlopen(f"{url}newest", timeout=60) as answer:
             asked.send(len(json.loads(answer.read())["numbers"]))
-        time.sleep(PACE)
+        time.sleep(2 * PACE)  # for half of which the view is stopped
 
 
 class Counter:
@@ -148,8 +148,9 @@ def with_view(folder: Path, count: Counter, steps: int) -> tuple[Measured, Measu
             while not ours_end.poll():
                 count()
             ours_end.recv()
-            for _ in range(0, steps, BLOCK):
-                for change, measured in found.items():
+            for number in range(steps // BLOCK):
+                both = [*found.items()]
+                for change, measured in both if number % 2 else reversed(both):
                     server.send_signal(change)
                     measured.append(count.seconds(BLOCK))
             answers = 0

@@ -1,6 +1,6 @@
 // A run that goes on: what is played is the newest stretch of it, and then the one after that.
 
-const PATIENCE = 500; // ms between two questions
+const PATIENCE = 1000; // ms between two questions at least
 const note = byId("live");
 let askedAt = 0;
 let timer = null;
