@@ -43,6 +43,7 @@ class Rollout:
 
     Args:
         episodes: how many an evaluation counts, spread evenly over the copies; None: one per copy.
+        begin: whether the first episodes begin at once; else `renew` begins them.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class Rollout:
         phase: Phase,
         deployment: int,
         episodes: int | None = None,
+        begin: bool = True,
     ) -> None:
         self._env, self._seed, self._phase, self._deployment = env, seed, phase, deployment
         self.step = 0
@@ -63,9 +65,24 @@ class Rollout:
         if episodes is not None:
             self._due = (episodes + env.copies - 1 - np.arange(env.copies)) // env.copies
         self._episodes: list[Episode] = []
-        self._reset(np.arange(env.copies))
+        self._over = np.ones(env.copies, np.bool_)  # copies whose next episode has yet to begin
         # What the agents act on now, N x (E, observation_size). Read only: steps share it.
-        self.observations: tuple[Float32, ...] = env.observe()
+        self.observations: tuple[Float32, ...] = ()
+        if begin:
+            self.renew()
+
+    @property
+    def over(self) -> bool:
+        """Whether no episode is under way, in any copy."""
+        return bool(self._over.all())
+
+    def renew(self) -> None:
+        """Reset the copies whose episodes are over."""
+        (which,) = self._over.nonzero()
+        if len(which):
+            self._reset(which)
+            self._over[:] = False
+            self.observations = self._env.observe()
 
     def _reset(self, which: NDArray[np.int64]) -> None:
         for copy in which.tolist():
@@ -90,6 +107,15 @@ class Rollout:
     def advance(self, actions: Sequence[Float32], exploring: tuple[bool, ...]) -> JointStep:
         """Step all copies with `actions`, N x (E, action_size), and reset those that ended.
 
+        Args and errors as of `play`.
+        """
+        step = self.play(actions, exploring)
+        self.renew()
+        return step
+
+    def play(self, actions: Sequence[Float32], exploring: tuple[bool, ...]) -> JointStep:
+        """As `advance`, without the resets.
+
         Args:
             actions: copied, as they were sent (the environment clips its own copy).
             exploring: N behaviour tags, True where the agent explored.
@@ -99,28 +125,30 @@ class Rollout:
         """
         env, observations, state = self._env, self.observations, self._env.state()
         outcome = env.step(actions)
-        successors = env.observe()
         joint_step = JointStep(
             step=self.step,
             observations=observations,
             actions=tuple([np.array(action, np.float32) for action in actions]),
             rewards=outcome.rewards,
-            next_observations=successors,
+            next_observations=env.observe(),
             terminated=outcome.terminated,
             truncated=outcome.truncated,
             exploring=exploring,
             episode_seeds=self._seeds.copy(),
             state=state,
         )
-        self.step += 1
-        self._returns += _mean(outcome.rewards)
-        (ended,) = (outcome.terminated | outcome.truncated).nonzero()
-        if len(ended):
-            self._finish(ended, outcome.terminated & outcome.truncated)
-            self.observations = env.observe()
-        else:
-            self.observations = successors
+        self.take(joint_step)
         return joint_step
+
+    def take(self, step: JointStep) -> None:
+        """Count the next step, whoever played it: `play`, or the process that logged it."""
+        self.step += 1
+        self._returns += _mean(step.rewards)
+        self.observations = step.next_observations
+        self._over = step.terminated | step.truncated
+        (ended,) = self._over.nonzero()
+        if len(ended):
+            self._finish(ended, step.terminated & step.truncated)
 
     def _finish(self, ended: NDArray[np.int64], broken: Bool) -> None:
         won = self._env.success if isinstance(self._env, Contest) else None
@@ -141,7 +169,6 @@ class Rollout:
         self._numbers[ended] += 1
         self._returns[ended] = 0.0
         self._begun[ended] = self.step
-        self._reset(ended)
 
     @property
     def episodes(self) -> tuple[Episode, ...]:
