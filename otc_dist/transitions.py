@@ -63,6 +63,10 @@ class JointStep(Joint):
     exploring: tuple[bool, ...]  # N: behaviour tag, True where the agent explored
     episode_seeds: NDArray[np.int64]  # (E,) seed of the episode that this step belongs to
     state: Float64  # (E, state_size) simulator state before the step
+    # Of a step in real time: N, True where the agent's answer was not there in time and its action
+    # before was held; whether what the step brought came late. Of others there is nothing to say.
+    held: tuple[bool, ...] = ()
+    late: bool = False
 
 
 @dataclass(frozen=True)

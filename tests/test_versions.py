@@ -44,7 +44,8 @@ def test_the_table_holds_the_codes_numbers(constant: str, now: str, still: str) 
 
 
 def test_every_version_of_a_format_is_in_the_table() -> None:
-    older = ("MINIMUM_FORMAT_VERSION", "FIRST_BOUND_VERSION")  # of the log, below its own
+    older = {f"{name}_VERSION" for name in ("MINIMUM_FORMAT", "FIRST_BOUND", "UNTIMED")}
+    older.add("FIRST_TIMED_VERSION")  # all of the log, up to its own
     found = set()
     for path in (ROOT / "otc_dist").rglob("*.py"):
         for name in re.findall(r"^(\w*(?:VERSION|FORMAT)) = \d", path.read_text(), re.M):
@@ -60,7 +61,7 @@ def _run(folder: Path) -> None:
 
 def _log(path: Path) -> None:
     header = LogHeader("run", 1, 0, "", "", registry.team_spec("hopper-3x1"), 1)
-    LogHeader.from_entries(replace(header, format_version=3).to_entries(), path)
+    LogHeader.from_entries(replace(header, format_version=4).to_entries(), path)
 
 
 def _checkpoint(path: Path) -> None:

@@ -34,6 +34,9 @@ class Log:
         policies: agent -> digest of the policy that acted; empty until the log is finished.
         agents: agent -> its observations, actions, rewards, next observations and ends.
         exploring: agent -> whether it explored, (N,).
+        held: agent -> whether its answer came too late and its action before was held, (N,); empty
+            where no clock was kept (deployment.rate_hz).
+        late: whether what the step brought came late, (N,).
         steps: number of the lock-step, (N,).
         copies: number of the environment's copy, (N,).
         episodes: of each row the index in `episode_table`, (N,).
@@ -47,6 +50,8 @@ class Log:
     policies: Mapping[str, str]
     agents: Mapping[str, Transitions]
     exploring: Mapping[str, Bool]
+    held: Mapping[str, Bool]
+    late: Bool
     steps: NDArray[np.int64]
     copies: NDArray[np.int64]
     episodes: NDArray[np.int64]
@@ -122,7 +127,7 @@ def read_log(path: str | Path) -> Log:
         first = int(np.searchsorted(numbers, episode.start))
         episodes[first : first + episode.length, episode.copy] = index
         starts[first, episode.copy] = True
-    exploring = np.concatenate(parts.exploring)
+    exploring, held = np.concatenate(parts.exploring), np.concatenate(parts.held)
     names = log.header.team.names
     return Log(
         path=log.path,
@@ -131,6 +136,8 @@ def read_log(path: str | Path) -> Log:
         policies=policies,
         agents={name: Transitions.concatenate(parts.agents[i]) for i, name in enumerate(names)},
         exploring={name: exploring[:, i].repeat(copies) for i, name in enumerate(names)},
+        held={name: column.repeat(copies) for name, column in zip(names, held.T, strict=False)},
+        late=np.concatenate(parts.late).repeat(copies),
         steps=numbers.repeat(copies),
         copies=np.tile(np.arange(copies), len(numbers)),
         episodes=episodes.reshape(-1),
@@ -145,7 +152,8 @@ class _Parts:
     def __init__(self, log: OpenLog) -> None:
         self._log, layout, none = log, log.layout, log.layout.rows(b"")
         self.steps = [none["step"].astype(np.int64)]
-        self.exploring = [layout.exploring(none)]
+        self.exploring, self.held = [layout.exploring(none)], [layout.held(none)]
+        self.late = [layout.late(none)]
         self.agents = [[layout.transitions(none, i)] for i in range(len(log.header.team.agents))]
 
     def taken(self) -> Iterator[Rows]:
@@ -154,6 +162,8 @@ class _Parts:
         for rows in self._log.blocks():
             self.steps.append(rows["step"].astype(np.int64))
             self.exploring.append(layout.exploring(rows))
+            self.held.append(layout.held(rows))
+            self.late.append(layout.late(rows))
             for i, parts in enumerate(self.agents):
                 parts.append(layout.transitions(rows, i))
             yield rows

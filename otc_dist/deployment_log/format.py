@@ -7,6 +7,9 @@ From version 2 on the checksums of steps and tables begin with the header's `bin
 hold in no other log: what a power cut or a mistake put there from elsewhere is no step of this one.
 In version 1 they begin with nothing, as MCAP's do. Who can write a log can write any checksum:
 they show damage and mix-ups, not forgeries.
+
+In version 3 steps say also which deadlines were missed (`JointStep.held`, `late`). It is written
+where a deployment goes by a clock (deployment.rate_hz), and version 2 everywhere else.
 """
 
 import struct
@@ -19,7 +22,9 @@ from mcap.writer import MCAP0_MAGIC
 
 from otc_dist.terminal.errors import UserError
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+FIRST_TIMED_VERSION = 3
+UNTIMED_VERSION = 2  # of what is written without a clock
 MINIMUM_FORMAT_VERSION = 1  # the oldest version that this code still reads
 FIRST_BOUND_VERSION = 2
 

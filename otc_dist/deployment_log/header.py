@@ -13,8 +13,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, Validat
 import otc_dist
 from otc_dist.deployment_log.format import (
     FIRST_BOUND_VERSION,
+    FIRST_TIMED_VERSION,
     FORMAT_VERSION,
     MINIMUM_FORMAT_VERSION,
+    UNTIMED_VERSION,
 )
 from otc_dist.deployment_log.record import RecordLayout
 from otc_dist.names import Name
@@ -49,12 +51,17 @@ class LogHeader:
     team: TeamSpec
     copies: int  # E
     versions: Mapping[str, str] = field(default_factory=versions)
-    format_version: int = FORMAT_VERSION
+    format_version: int = UNTIMED_VERSION
 
     @property
     def bound(self) -> bool:
         """Whether the checksums of its steps and tables hold in this log alone."""
         return self.format_version >= FIRST_BOUND_VERSION
+
+    @property
+    def timed(self) -> bool:
+        """Whether its steps were taken by a clock, and say which deadlines were missed."""
+        return self.format_version >= FIRST_TIMED_VERSION
 
     @property
     def binding(self) -> int:
@@ -70,7 +77,7 @@ class LogHeader:
 
     def layout(self) -> RecordLayout:
         """The record of a step. Raises UserError if it is larger than a record may be."""
-        return RecordLayout(self.team, self.copies, self.binding)
+        return RecordLayout(self.team, self.copies, self.binding, self.timed)
 
     def to_entries(self) -> dict[str, str]:
         """The header as strings; numbers and structures in JSON."""

@@ -46,13 +46,14 @@ class RecordLayout:
 
     Args:
         binding: what the checksums begin with; see `LogHeader.binding`.
+        timed: whether steps say which deadlines were missed; see `LogHeader.timed`.
 
     Raises:
         UserError: one step of so many copies does not fit into a record.
     """
 
-    def __init__(self, team: TeamSpec, copies: int, binding: int) -> None:
-        self.team, self.copies, self.binding = team, copies, binding
+    def __init__(self, team: TeamSpec, copies: int, binding: int, timed: bool = False) -> None:
+        self.team, self.copies, self.binding, self.timed = team, copies, binding, timed
         self.shapes: dict[str, list[tuple[int, ...]]] = {
             "observations": [(copies, agent.observation_size) for agent in team.agents],
             "actions": [(copies, agent.action_size) for agent in team.agents],
@@ -98,7 +99,11 @@ class RecordLayout:
             out.extend(_UINT32 + bytes(4))
             self._fields[name] = (np.dtype(">u4"), (), PAYLOAD_START + len(out) - 4)
 
-        out.extend(pack.pack_map_header(len(PER_AGENT) + 7))
+        def flags(name: str, count: int) -> None:
+            self._fields[name] = (np.dtype("u1"), (count,), PAYLOAD_START + len(out))
+            out.extend(bytes([_FALSE]) * count)
+
+        out.extend(pack.pack_map_header(len(PER_AGENT) + 7 + 2 * self.timed))
         out.extend(pack.pack("step"))
         integer("step")
         for name in PER_AGENT:
@@ -110,12 +115,16 @@ class RecordLayout:
             binary(name, "?", (self.copies,))
         agents = len(self.team.agents)
         out.extend(pack.pack("exploring") + pack.pack_array_header(agents))
-        self._fields["exploring"] = (np.dtype("u1"), (agents,), PAYLOAD_START + len(out))
-        out.extend(bytes([_FALSE]) * agents)
+        flags("exploring", agents)
         out.extend(pack.pack("episode_seeds"))
         binary("episode_seeds", "<i8", (self.copies,))
         out.extend(pack.pack("state"))
         binary("state", "<f8", (self.copies, self.team.state_size))
+        if self.timed:
+            out.extend(pack.pack("held") + pack.pack_array_header(agents))
+            flags("held", agents)
+            out.extend(pack.pack("late"))
+            flags("late", 1)
         out.extend(pack.pack("crc32"))
         integer("crc32")
         return out
@@ -155,7 +164,8 @@ class RecordLayout:
         column = {name: np.array(rows[name]) for name in self.dtype.names or ()}
         agents = range(len(self.team.agents))
         by_agent = [[column[f"{name}.{i}"] for i in agents] for name in PER_AGENT]
-        exploring = self.exploring(rows).tolist()
+        exploring, held = self.exploring(rows).tolist(), self.held(rows).tolist()
+        late = self.late(rows).tolist()
         for t, step in enumerate(column["step"].tolist()):
             observations, actions, rewards, next_observations = (
                 tuple([array[t] for array in arrays]) for arrays in by_agent
@@ -171,12 +181,28 @@ class RecordLayout:
                 exploring=tuple(exploring[t]),
                 episode_seeds=column["episode_seeds"][t],
                 state=column["state"][t],
+                held=tuple(held[t]),
+                late=late[t],
             )
 
     def exploring(self, rows: Rows) -> Bool:
         """Behaviour tags (T, N): which agents explored."""
         tags: Bool = np.array(rows["exploring"]) != _FALSE
         return tags
+
+    def held(self, rows: Rows) -> Bool:
+        """Whose actions before were held, (T, N); (T, 0) where no clock was kept."""
+        if not self.timed:
+            return np.zeros((len(rows), 0), np.bool_)
+        held: Bool = np.array(rows["held"]) != _FALSE
+        return held
+
+    def late(self, rows: Rows) -> Bool:
+        """Whether what the step brought came late, (T,); nowhere where no clock was kept."""
+        if not self.timed:
+            return np.zeros(len(rows), np.bool_)
+        late: Bool = np.array(rows["late"])[:, 0] != _FALSE
+        return late
 
     def transitions(self, rows: Rows, agent: int) -> Transitions:
         """T rows as the T * E transitions of one agent: by step, then by copy. Fresh arrays."""
@@ -207,7 +233,7 @@ class StepEncoder:
 
     def __init__(self, layout: RecordLayout) -> None:
         self._prefix, self._agents = layout.prefix, len(layout.team.agents)
-        self._binding = layout.binding
+        self._binding, self._flagged = layout.binding, self._agents if layout.timed else 0
         fields = layout.dtype.fields
         assert fields is not None  # it is a structured type
         names = [name for name in fields if name not in ("log_time", "publish_time", "crc32")]
@@ -220,7 +246,7 @@ class StepEncoder:
             kind, start = fields[name][0], int(fields[name][1])
             self._parts += [bytes(layout.template[end:start]), b""]
             end = start + kind.itemsize
-            if name not in ("step", "exploring"):
+            if name not in ("step", "exploring", "held", "late"):
                 self._shapes.append(kind.shape)
                 self._types.append(kind.base)
         self._parts.append(bytes(layout.template[end : -1 - _CHECKSUM.size]))
@@ -249,13 +275,21 @@ class StepEncoder:
             raise TypeError(f"a step's arrays are of {types}, not {self._types}")
         if len(step.exploring) != self._agents:
             raise ValueError(f"a step has {len(step.exploring)} behaviour tags")
+        if len(step.held) != self._flagged:
+            raise ValueError(f"a step says of {len(step.held)} agents whose actions were held")
         parts, exploring = self._parts, self._exploring
         data = [array.tobytes() for array in arrays]
         parts[1] = _CHECKSUM.pack(step.step)
         parts[3:exploring:2] = data[:-2]
-        parts[exploring] = bytes([_FALSE + tag for tag in step.exploring])
-        parts[exploring + 2 :: 2] = data[-2:]
+        parts[exploring] = _flags(step.exploring)
+        parts[exploring + 2 : exploring + 6 : 2] = data[-2:]
+        if self._flagged:
+            parts[exploring + 6 :: 2] = [_flags(step.held), _flags((step.late,))]
         body = b"".join(parts)
         times = _TIMES.pack(step.step, log_time, log_time)
         checksum = _CHECKSUM.pack(zlib.crc32(body, self._binding))
         return b"".join((self._prefix, times, body, _UINT32, checksum))
+
+
+def _flags(values: tuple[bool, ...]) -> bytes:
+    return bytes([_FALSE + value for value in values])

@@ -46,6 +46,18 @@ def payload_schema(layout: RecordLayout) -> bytes:
         "state": binary(
             "<f8", (layout.copies, layout.team.state_size), "simulator state before the step"
         ),
+    }
+    if layout.timed:
+        properties |= {
+            "held": {
+                "type": "array",
+                "description": "by agent: its answer was not there in time, and its action before"
+                " was executed once more",
+                "items": {"type": "boolean"},
+            },
+            "late": {"type": "boolean", "description": "the next observations came late"},
+        }
+    properties |= {
         "crc32": {
             "type": "integer",
             "description": "of the payload without its last 5 bytes, which are this field;"

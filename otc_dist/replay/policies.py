@@ -74,12 +74,21 @@ def _check(
     recorded = summary.policies.get(name, digest)  # an unfinished log does not say
     if recorded != digest:
         return Verdict(name, False, f"policy {recorded} acted, but its checkpoint holds {digest}")
-    count, k = 0, summary.header.deployment
+    computed = held = 0
+    k, before = summary.header.deployment, None
     for step in steps:
-        observations, exploring = step.observations[index], step.exploring[index]
-        actions = policy.act_as(observations, "deployment", k, step.step, exploring=exploring)
-        if actions.tobytes() != step.actions[index].tobytes():
-            text = f"policy {digest} acts differently from the log in step {step.step:,}"
-            return Verdict(name, False, text)
-        count += 1
-    return Verdict(name, True, f"policy {digest}, actions of {count:,} steps computed again")
+        if step.held and step.held[index]:  # the first of a selection may continue one before it
+            wrong = before is not None and before.tobytes() != step.actions[index].tobytes()
+            what, held = "it holds another action than the one before", held + 1
+        else:
+            observations, exploring = step.observations[index], step.exploring[index]
+            actions = policy.act_as(observations, "deployment", k, step.step, exploring=exploring)
+            wrong = actions.tobytes() != step.actions[index].tobytes()
+            what, computed = f"policy {digest} acts differently from the log", computed + 1
+        if wrong:
+            return Verdict(name, False, f"{what} in step {step.step:,}")
+        before = step.actions[index]
+    text = f"policy {digest}, actions of {computed:,} steps computed again"
+    if held:
+        text += f"; in {held:,} the one before was held"
+    return Verdict(name, True, text)

@@ -35,6 +35,8 @@ def _lines(arguments: argparse.Namespace, path: Path) -> list[str]:
             rows += _whole(summary, selection)
         else:
             rows += _part(log, summary, selection)
+        if summary.header.timed:
+            rows.append(("real time", _misses(log, selection)))
     return [str(summary.path), *(f"  {label:<{_LABEL}}{printable(text)}" for label, text in rows)]
 
 
@@ -73,14 +75,16 @@ def _policies(summary: LogSummary, selection: Selection) -> list[tuple[str, str]
 
 def _whole(summary: LogSummary, selection: Selection) -> list[tuple[str, str]]:
     ended = [episode for episode in summary.episodes if episode.terminated or episode.truncated]
-    terminated = sum(episode.terminated for episode in ended)
+    broken = sum(episode.terminated and episode.truncated for episode in ended)
+    terminated = sum(episode.terminated for episode in ended) - broken
     counted = [episode for episode in ended if episode.whole]
     return [
         ("steps", f"{summary.steps:,} ({_transitions(summary.steps, summary)}){_when(summary)}"),
         (
             "episodes",
             f"{len(summary.episodes):,}: {terminated:,} terminated,"
-            f" {len(ended) - terminated:,} truncated,"
+            f" {len(ended) - terminated - broken:,} truncated,"
+            f"{f' {broken:,} broken off,' if broken else ''}"
             f" {len(summary.episodes) - len(ended):,} cut short",
         ),
         ("returns", _spread(_team_returns(counted, selection.indices(summary.header.team.names)))),
@@ -111,6 +115,18 @@ def _part(log: OpenLog, summary: LogSummary, selection: Selection) -> list[tuple
         text = f"sum of rewards {sums[index]:,.2f}, largest action {largest[index]:.4g}"
         found.append((names[index], text))
     return found
+
+
+def _misses(log: OpenLog, selection: Selection) -> str:
+    """Which deadlines were missed in the selected steps."""
+    names, steps, late = log.header.team.names, 0, 0
+    held = np.zeros(len(names), np.int64)
+    for rows in log.blocks(selection.start, selection.stop):
+        steps += len(rows)
+        held += log.layout.held(rows).sum(axis=0)
+        late += int(log.layout.late(rows).sum())
+    by_agent = ", ".join(f"{names[i]} {held[i]:,}" for i in selection.indices(names))
+    return f"actions held: {by_agent}; observations late: {late:,}; of {steps:,} steps"
 
 
 def _team_returns(episodes: Iterable[Episode], agents: Sequence[int]) -> Float64:

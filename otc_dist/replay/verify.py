@@ -159,6 +159,9 @@ def _transitions(count: int) -> str:
 
 
 def _simulation(log: OpenLog, steps: Steps) -> Iterator[Finding]:
+    if log.header.timed:  # to make its environment and reset it would move somebody's robots
+        yield None, "its episodes are not played again: they were played in real time"
+        return
     env = replayed_episodes.simulator(log)
     try:
         if others := replayed_episodes.other_versions(log, env):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from otc_dist.deployment_log.format import FIRST_TIMED_VERSION
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.reader import read_header, read_steps
 from otc_dist.deployment_log.writer import LogWriter
@@ -62,6 +63,16 @@ class Recording:
         )
         self.seeds = np.where(ends | timeouts, rng.integers(0, 2**62, copies), self.seeds)
         return step
+
+    def by_a_clock(self) -> "Recording":
+        """As if it had gone by a clock: steps say which deadlines were missed."""
+        self.header = replace(self.header, format_version=FIRST_TIMED_VERSION)
+        agents = len(self.team.agents)
+        self.steps = [
+            replace(step, held=tuple(map(bool, self.rng.integers(2, size=agents))), late=i % 3 == 0)
+            for i, step in enumerate(self.steps)
+        ]
+        return self
 
     def write(self, path: Path, stop: int | None = None) -> LogWriter:
         """An unfinished log of the steps before `stop`."""

@@ -52,14 +52,14 @@ def test_another_profile(tmp_path: Path) -> None:
     assert "profile 'ros2', not 'x-otc-dist'" in said(path)
 
 
-@pytest.mark.parametrize(("version", "word"), [(3, "newer"), (0, "older")])
+@pytest.mark.parametrize(("version", "word"), [(4, "newer"), (0, "older")])
 def test_another_version_names_both(tmp_path: Path, small, version: int, word: str) -> None:
     small.header = replace(small.header, format_version=version)
     path = tmp_path / "log.mcap"
-    small.write(path).close()
+    small.write(path, stop=0).close()
     message = said(path.with_name("log.mcap.partial"))
     assert f"log version {version}, {word} than" in message
-    assert f"version {2 if word == 'newer' else 1}" in message
+    assert f"version {3 if word == 'newer' else 1}" in message
     with pytest.raises(UserError, match=word):
         LogWriter.resume(path)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from otc_dist.deployment_log.arrays import read_log
 from otc_dist.deployment_log.episodes import Episode
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.deployment_log.reader import (
@@ -42,6 +43,29 @@ def test_round_trip(tmp_path: Path, recording, same, sizes, copies, steps, state
         assert len(read) == steps
         assert all(same(a, b) for a, b in zip(read, made.steps, strict=True))
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_which_deadlines_were_missed_is_read_as_it_was_written(tmp_path: Path, small, same) -> None:
+    made, path = small.by_a_clock(), tmp_path / "log.mcap"
+    writer = made.write(path)
+    for where in (path, made.write(tmp_path / "other.mcap").finish({})):
+        read = list(read_steps(where))
+        assert all(same(a, b) for a, b in zip(read, made.steps, strict=True))
+    writer.close()
+    log = read_log(path)
+    assert log.held["agent_1"].tolist() == [s.held[1] for s in made.steps for _ in range(2)]
+    assert log.late.tolist() == [step.late for step in made.steps for _ in range(2)]
+
+
+@pytest.mark.parametrize("timed", [False, True])
+def test_a_step_that_says_of_deadlines_what_its_log_does_not_is_refused(
+    tmp_path: Path, small, timed: bool
+) -> None:
+    other = replace(small.steps[0], held=() if timed else (False, False))
+    if timed:
+        small.by_a_clock()
+    with pytest.raises(ValueError, match="agents whose actions were held"):
+        small.write(tmp_path / "log.mcap", stop=0).write(other)
 
 
 def test_an_unfinished_log_is_found_by_its_final_name(tmp_path: Path, small, same) -> None:

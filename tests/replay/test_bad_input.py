@@ -25,7 +25,7 @@ FILES = {
     "empty": "is ",
     "text": "is not an MCAP file",
     "bag": "profile",
-    "newer": "is of log version 3, newer than what this otc_dist",
+    "newer": "is of log version 4, newer than what this otc_dist",
 }
 
 
@@ -42,7 +42,7 @@ def _write(path: Path, kind: str) -> None:
         path.write_bytes(out.getvalue())
     elif kind == "newer":
         made = Recording(((3, 1), (2, 2)), copies=2, steps=3)
-        writer = LogWriter.create(path, replace(made.header, format_version=3))
+        writer = LogWriter.create(path, replace(made.header, format_version=4))
         writer.close()
         path.with_name(path.name + ".partial").rename(path)
 
@@ -56,7 +56,7 @@ def test_what_is_no_log_of_ours(tmp_path: Path, refused, action: str, kind: str)
     message = refused(path, *(part.format(tmp_path) for part in ACTIONS[action]))
     assert FILES[kind] in message and str(path) in message
     if kind == "newer":
-        assert "at most version 2" in message
+        assert "at most version 3" in message
     assert {p.name for p in tmp_path.iterdir()} == before
 
 
