@@ -1,25 +1,20 @@
 """What stands before each deployment: the floor that the one before must reach, and a person."""
 
-import json
 import logging
-import os
-import time
-from contextlib import suppress
 from dataclasses import dataclass
 
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.run import recommendation
 from otc_dist.run.measured_returns import Measured, TooFewError, alike
-from otc_dist.system import durable, records
+from otc_dist.system import records
 from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep
 
-from .process import FailureError, Run
+from . import person
+from .process import Run
 
 log = logging.getLogger(__name__)
-
-_LOOK = 0.1  # seconds between two looks for the person's file
 
 
 @dataclass(frozen=True)
@@ -90,29 +85,18 @@ class DeploymentConditions:
         what this waits.
 
         Raises:
-            FailureError: it cannot be said.
+            FailureError, StoppedByFileError: as `person.wait_for`.
         """
-        approval, waiting = self._folder.approval(k), self._folder.waiting
         before = self.measured(k - 1) if k > 1 else None
         content = {
             "waits_for": f"a person's approval of deployment {k}, by policy {k - 1}",
             "deployment": k,
             "policy": k - 1,
-            "approve_by": str(approval.relative_to(self._folder.root)),
             "measured": before and {"deployment": k - 1, **vars(before)},
             "greedy_return": self._greedy_return(k - 1),
         }
-        try:  # a signal may end this at any moment: nobody waits any more then
-            durable.write(waiting, (json.dumps(content, indent=1) + "\n").encode())
-            log.info("deployment %d waits for a person: %s", k, approval)
-            while not approval.exists():
-                time.sleep(_LOOK)
-        except OSError as error:
-            reason = os.strerror(error.errno) if error.errno else str(error)
-            raise FailureError(f"cannot write {waiting}: {reason}") from None
-        finally:
-            with suppress(OSError):
-                waiting.unlink()
+        log.info("deployment %d waits for a person: %s", k, self._folder.approval(k))
+        person.wait_for(self._folder, self._folder.approval(k), content)
 
     def _greedy_return(self, k: int) -> float | None:
         try:

@@ -35,10 +35,15 @@ log = logging.getLogger(__name__)
 
 
 _ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+_STOPPED_BY_FILE = 3  # exit status, which the launcher knows
 
 
 class FailureError(Exception):
     """The service cannot go on, and it is not the user's mistake. The message is one line."""
+
+
+class StoppedByFileError(Exception):
+    """A person's file asked the service to end. The message is one line."""
 
 
 class _StoppedError(BaseException):
@@ -184,7 +189,8 @@ def endpoint_at(locator: str, process: str, arguments: argparse.Namespace) -> En
 
 
 def serve(body: Callable[[], None]) -> None:
-    """Run a service to its end and exit: 0 done, 2 the user's mistake, 1 a failure, 128 + signal.
+    """Run a service to its end and exit: 0 done, 2 the user's mistake, 1 a failure, 128 + signal,
+    3 stopped by a person's file.
 
     SIGTERM, SIGINT and SIGHUP, unless that is ignored (nohup), end it in order: what is open is
     closed, what was recorded stays.
@@ -206,6 +212,9 @@ def serve(body: Callable[[], None]) -> None:
     except OSError as error:  # a full disk, a folder that went
         say(printable(f"error: {os_error_line(error)}"), file=sys.stderr)
         status = 1
+    except StoppedByFileError as stopped:
+        say(printable(f"stopped: {stopped}"), file=sys.stderr)
+        status = _STOPPED_BY_FILE
     except _StoppedError as stopped:
         print(f"stopped by {signal.Signals(stopped.number).name}", file=sys.stderr)
         status = 128 + stopped.number
@@ -216,6 +225,25 @@ def _stop(number: int, _: FrameType | None) -> None:
     for other in _ENDING:
         signal.signal(other, signal.SIG_IGN)  # closing is under way; it takes seconds at most
     raise _StoppedError(number)
+
+
+@contextmanager
+def orderly() -> Iterator[Callable[[], bool]]:
+    """Meanwhile a signal does not end the service at once but when this is left; what is given
+    says whether one has come.
+    """
+    noted: list[int] = []
+    before = {number: signal.getsignal(number) for number in _ENDING}
+    for number, handler in before.items():
+        if handler is _stop:
+            signal.signal(number, lambda number, _: noted.append(number))
+    try:
+        yield lambda: bool(noted)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if noted:
+            _stop(noted[0], None)
 
 
 @contextmanager

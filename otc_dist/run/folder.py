@@ -16,6 +16,7 @@ class RunFolder:
     agents/agent_0/                  one learner's own: checkpoints, metrics.jsonl, recommended.json
     output/                          what each process printed
     waiting.json                     for whom the env host waits, while it does
+    stop                             made by a person, who stops a deployment in real time by it
     supervision.json                 how each process is, written by the launcher while it runs
     results.json, report.html        written at the end
     tracking/tensorboard/            what a tracker reads, where that was asked for
@@ -44,6 +45,10 @@ class RunFolder:
         return self.root / "waiting.json"
 
     @property
+    def stop(self) -> Path:
+        return self.root / "stop"
+
+    @property
     def results(self) -> Path:
         return self.root / "results.json"
 
@@ -58,6 +63,11 @@ class RunFolder:
     def approval(self, k: int) -> Path:
         """Made by a person who lets deployment k begin, where that is asked for; may be empty."""
         return self.root / "deployments" / f"approved_{k:02d}"
+
+    @property
+    def reset_approval(self) -> Path:
+        """Made by a person who has reset the devices; taken away when it has been seen."""
+        return self.root / "deployments" / "approved_reset"
 
     def evaluation(self, k: int) -> Path:
         """Greedy returns of the team pi_k, k = 0..K."""
