@@ -8,20 +8,19 @@ import json
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from contextlib import closing
+
+import numpy as np
 
 from otc_dist.bus.endpoints import remove_local_endpoint
 from otc_dist.bus.handshake import offer
 from otc_dist.bus.keys import HOST
 from otc_dist.bus.lockstep import HostLockstep
-from otc_dist.bus.messages import Action, Moment, Observation, Phase, Status, StepOutcome
+from otc_dist.bus.messages import Action, Moment, Observation, Phase, StepOutcome
 from otc_dist.bus.presence import Presence
 from otc_dist.bus.session import Session
-from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
 from otc_dist.datasets import inputs
-from otc_dist.deployment_log.format import partial_path
-from otc_dist.deployment_log.header import LogHeader, versions
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import check_whole
 from otc_dist.deployment_log.writer import LogWriter
@@ -30,17 +29,17 @@ from otc_dist.envs.rollout import Rollout
 from otc_dist.run.host_state import HostState
 from otc_dist.system import durable
 from otc_dist.system.ports import Port
-from otc_dist.system.processor import kind
-from otc_dist.terminal.amounts import plus_minus
 from otc_dist.transitions import Float32, JointStep
 
 from .acting import confirmed
 from .deployment_conditions import DeploymentConditions
-from .exposition import Counts, exposed
+from .exposition import exposed
 from .history import history_of
 from .host_bus import open_bus
+from .host_report import HostReport
 from .process import Run, check_endpoints, parser, recording, serve
-from .restore import check_begun, resimulate
+from .real_time import RealTime
+from .restore import open_log
 
 log = logging.getLogger(__name__)
 
@@ -56,7 +55,7 @@ class EnvHost:
         self._run, self._session = run, session
         self._description, self._folder = run.description, run.folder
         self._settings, self._conditions = run.description.deployment, DeploymentConditions(run)
-        self._rejections = Rejections()
+        rejections = Rejections()
         self._schedule = run.schedule
         self._state = HostState.begin(self._folder)
         self._presence = Presence(session, run.keys, run.team.names)
@@ -66,16 +65,15 @@ class EnvHost:
             run.team.agents,
             run.copies,
             run.description.bus.answer_deadline,
-            self._rejections,
+            rejections,
             self._presence.changed,
         )
-        self._phase, self._deployment, self._total = "starting", 0, 0
-        self._rollout: Rollout | None = None  # of the phase under way
-        self._metrics: dict[str, float] = {}
-        self._returns: dict[str, float] = {}  # the newest of each kind
-        self.heartbeat = Heartbeat(session, run.keys, HOST, self._rejections, self._status)
+        self._timed = self._settings.rate_hz is not None
+        if self._settings.rate_hz is not None:  # answers are waited for to a tenth of a period
+            session.wake_period = min(session.wake_period, 0.1 / self._settings.rate_hz)
+        self.report = HostReport(session, run.keys, self._lockstep, rejections, self._state.epoch)
         for agent in run.team.names:
-            session.answer(run.keys.history(agent), history_of(run, agent, self._rejections))
+            session.answer(run.keys.history(agent), history_of(run, agent, rejections))
         offer(session, run.keys, run.spec)
         session.declare_alive(run.keys.alive(HOST))
 
@@ -84,9 +82,9 @@ class EnvHost:
 
         `patience`: seconds to wait first until all learners have come; None: they will.
         """
-        with self.heartbeat:
+        with self.report.heartbeat:
             if patience is not None:
-                self._enter("gathering", 0, 0)
+                self.report.enter("gathering", 0, 0)
                 self._presence.wait_for_all(patience)
             self._evaluate(0)
             made = 0
@@ -98,7 +96,7 @@ class EnvHost:
             moment = Moment("done", made, self._state.epoch, 0)
             nothing = [Observation(moment, None, None)] * len(self._run.team.agents)
             self._lockstep.ask(nothing, acting=False)
-            self._enter("done", made, 0)
+            self.report.enter("done", made, 0)
             self._presence.wait_for_none(_FAREWELL)
 
     def _evaluate(self, k: int) -> None:
@@ -108,9 +106,10 @@ class EnvHost:
             return
         env_id, copies = self._run.team.env_id, self._run.copies["evaluation"]
         rounds = math.ceil(episodes / copies)
-        self._enter("evaluation", k, rounds * self._run.team.max_episode_steps)
+        self.report.enter("evaluation", k, rounds * self._run.team.max_episode_steps)
         env = registry.make(env_id, copies, self._description.progress(k))
-        rollout = self._rollout = Rollout(env, self._description.seed, "evaluation", k, episodes)
+        rollout = Rollout(env, self._description.seed, "evaluation", k, episodes)
+        self.report.rollout = rollout
         policies: Mapping[str, str] = {}
         while not rollout.finished:
             answers = self._ask("evaluation", k, rollout.step, rollout.observations, None)
@@ -131,12 +130,8 @@ class EnvHost:
         }
         with recording(path, "the evaluation is played again"):
             durable.write(path, (json.dumps(result, indent=1) + "\n").encode())
-        self._metrics, self._returns["greedy"] = {"return": mean}, mean
-        if rollout.successes is not None:
-            self._metrics["success"] = 100 * sum(rollout.successes) / episodes
-        self.heartbeat.publish()
-        means = " ".join(f"{name} {value:.2f}" for name, value in self._metrics.items())
-        log.info("evaluation of policy %d, means: %s", k, means)
+        won = rollout.successes
+        self.report.evaluated(k, mean, None if won is None else 100 * sum(won) / episodes)
 
     def _deploy(self, k: int) -> None:
         """Deployment k: M transitions by pi_{k-1}, every step in the log before the next.
@@ -149,57 +144,56 @@ class EnvHost:
                 check_whole(made)
             return
         if self._conditions.needs_approval(k):
-            self._enter("approval", k, 0)
+            self.report.enter("approval", k, 0)
             self._conditions.wait_for_approval(k)
-        self._enter("deployment", k, self._schedule.steps)
+        self.report.enter("deployment", k, self._schedule.steps)
         description = self._description
         env = registry.make(self._run.team.env_id, description.env.copies, description.progress(k))
-        rollout = self._rollout = Rollout(env, description.seed, "deployment", k)
-        with recording(path, "the steps recorded so far are kept"):
-            writer, last = self._open_log(path, k, rollout)
+        with closing(env), recording(path, "the steps recorded so far are kept"):
+            rollout = Rollout(env, description.seed, "deployment", k, begin=not self._timed)
+            self.report.rollout = rollout
+            writer, last = open_log(self._run, k, rollout)
             try:
-                while rollout.step < self._schedule.steps:
-                    answers = self._ask("deployment", k, rollout.step, rollout.observations, last)
-                    self._note_deployed(k, answers)
-                    tags = self._schedule.exploring(rollout.step)
-                    last = rollout.advance(_actions(answers), tags)
-                    self._conditions.check_rewards(last)
-                    writer.write(last)
+                last = self._play(k, rollout, writer, last)
                 self._ask("deployment", k, rollout.step, rollout.observations, last)
                 writer.finish(self._state.policies)
             finally:
                 writer.close()
-        env.close()
         log.info("deployment %d: %d steps in %s", k, self._schedule.steps, path.name)
-        if found := self._conditions.measured(k):
-            self._metrics = {"measured": found.mean, "error": found.error}
-            self._returns["measured"] = found.mean
-            log.info("deployment %d measured %s", k, plus_minus(found.mean, found.error))
-        self.heartbeat.publish()
+        self.report.deployed(k, self._conditions.measured(k))
 
-    def _open_log(self, path: Path, k: int, rollout: Rollout) -> tuple[LogWriter, JointStep | None]:
-        """The log to write, and its last step; `rollout` has caught up with it."""
-        if partial_path(path).exists():
-            writer, steps = LogWriter.resume(path)
-            try:
-                check_begun(writer.header, self._run.keys.run, k, partial_path(path))
-                log.info("deployment %d continues after %d logged steps", k, steps)
-                return writer, resimulate(rollout, path, steps, self._run.moved)
-            except BaseException:
-                writer.close()
-                raise
-        description = self._description
-        header = LogHeader(
-            run=self._run.keys.run,
-            deployment=k,
-            seed=description.seed,
-            description=description.to_toml(),
-            description_digest=description.tuning_digest(),
-            team=self._run.team,
-            copies=description.env.copies,
-            versions=versions() | dict(rollout.simulator) | {"processor": kind()},
-        )
-        return LogWriter.create(path, header), None
+    def _play(
+        self, k: int, rollout: Rollout, writer: LogWriter, last: JointStep | None
+    ) -> JointStep | None:
+        """Play deployment k behind `last`, the last logged step, to its end; its last step."""
+
+        def ask(last: JointStep | None, until: float | None) -> Sequence[Action | None]:
+            answers = self._ask("deployment", k, rollout.step, rollout.observations, last, until)
+            self._note_deployed(k, answers)
+            return answers
+
+        def write(step: JointStep) -> None:
+            self._conditions.check_rewards(step)
+            writer.write(step)
+
+        if self._timed:
+            if rollout.step < self._schedule.steps:
+                self._rehearse(k)
+            return RealTime(self._run, k, rollout, ask, write, self.report).play(last)
+        while rollout.step < self._schedule.steps:
+            answers = ask(last, None)
+            last = rollout.advance(_actions(answers), self._schedule.exploring(rollout.step))
+            write(last)
+        return last
+
+    def _rehearse(self, k: int) -> None:
+        """Have everybody act once by pi_{k-1}, of which nothing comes: before devices are set up
+        and move, so that nobody trains, or answers for the first time, while they do.
+        """
+        moment, copies = Moment("evaluation", k - 1, self._state.epoch, 0), self._run.copies
+        agents = self._run.team.agents  # to whom every action is available
+        seen = [np.ones((copies["evaluation"], x.observation_size), np.float32) for x in agents]
+        self._lockstep.ask([Observation(moment, one, None) for one in seen], acting=True)
 
     def _ask(
         self,
@@ -208,13 +202,19 @@ class EnvHost:
         step: int,
         observations: Sequence[Float32],
         last: JointStep | None,
-    ) -> list[Action]:
-        """Ask all agents; in a deployment's last question nobody acts any more."""
+        until: float | None = None,
+    ) -> Sequence[Action | None]:
+        """Ask all agents; in a deployment's last question nobody acts any more.
+
+        `until`: as of `HostLockstep.ask_until`; None: all answer.
+        """
         moment = Moment(phase, k, self._state.epoch, step)
         questions = [
             Observation(moment, seen, StepOutcome.of(last, index) if last else None)
             for index, seen in enumerate(observations)
         ]
+        if until is not None:
+            return self._lockstep.ask_until(questions, until)
         acting = phase == "evaluation" or step < self._schedule.steps
         return self._lockstep.ask(questions, acting=acting)
 
@@ -223,7 +223,7 @@ class EnvHost:
         """Behaviour tags: no agent explores."""
         return (False,) * len(self._run.team.agents)
 
-    def _note_deployed(self, k: int, answers: Sequence[Action]) -> None:
+    def _note_deployed(self, k: int, answers: Sequence[Action | None]) -> None:
         """Note, before the first step is logged, which policies act; they must stay the same."""
         begun = self._state.policies if self._state.deployment == k else {}
         acting = self._confirmed(begun, answers, f"deployment {k}")
@@ -231,38 +231,17 @@ class EnvHost:
             self._state = self._state.deploying(k, acting, self._folder)
 
     def _confirmed(
-        self, begun: Mapping[str, str], answers: Sequence[Action], where: str
+        self, begun: Mapping[str, str], answers: Sequence[Action | None], where: str
     ) -> Mapping[str, str]:
-        policies = (answer.policy for answer in answers)
-        acting = dict(zip(self._run.team.names, policies, strict=True))
+        acting = dict(begun)
+        for agent, answer in zip(self._run.team.names, answers, strict=True):
+            if answer is not None:
+                acting[agent] = answer.policy
         return confirmed(begun, acting, where, self._run.moved)
 
-    def _enter(self, phase: str, k: int, total: int) -> None:
-        self._phase, self._deployment, self._total = phase, k, total
-        self._rollout, self._metrics = None, {}
-        self.heartbeat.publish()
 
-    def _status(self) -> Status:
-        rollout = self._rollout  # one that goes over a log again shows its progress, too
-        return Status(
-            HOST,
-            self._phase,
-            self._deployment,
-            rollout.step if rollout else 0,
-            self._total,
-            metrics={"epoch": float(self._state.epoch), **self._metrics},
-            awaits=self._lockstep.awaited,
-        )
-
-    def counts(self) -> Counts:
-        """What is counted and measured, from any thread."""
-        lockstep = self._lockstep
-        returns, rejected = dict(self._returns), self._rejections.by_reason()
-        return Counts(lockstep.answered, lockstep.resent, rejected, returns)
-
-
-def _actions(answers: Sequence[Action]) -> list[Float32]:
-    return [answer.actions for answer in answers if answer.actions is not None]
+def _actions(answers: Sequence[Action | None]) -> list[Float32]:
+    return [answer.actions for answer in answers if answer and answer.actions is not None]
 
 
 def main() -> None:
@@ -274,7 +253,8 @@ def main() -> None:
         "  python -m otc_dist.services.env_host --run runs/my_run\n"
         "  python -m otc_dist.services.learner --run runs/my_run --agent agent_0   (and so on)\n"
         "Killed or stopped, it continues where its log ends when it is started again.\n"
-        "Exit status: 0 done, 1 failed, 2 a mistake to fix, 128 + n stopped by signal n.",
+        "Exit status: 0 done, 1 failed, 2 a mistake to fix, 3 stopped by a person's file,\n"
+        "128 + n stopped by signal n.",
     )
     command.add_argument(
         "--listen",
@@ -299,7 +279,8 @@ def main() -> None:
         session = open_bus(run, arguments)
         try:
             host = EnvHost(run, session)
-            with exposed(port, run.keys.run, lambda: host.heartbeat.newest, host.counts):
+            report = host.report
+            with exposed(port, run.keys.run, lambda: report.heartbeat.newest, report.counts):
                 host.serve(arguments.patience)
         finally:
             session.close()

@@ -54,6 +54,8 @@ class LearnerService:
         self._steps, self._own = schedule.steps, schedule.own(index)
         self._explores = [schedule.exploring(step)[index] for step in range(schedule.steps)]
         self._gathering = Gathering(copies, self._own, self._history.fetch)
+        # By a clock another action may have been executed than was answered: the log knows.
+        self._gathers = run.description.deployment.rate_hz is None
         self._recommender = Recommender(run, agent.name, self._history.fetch)
         self._last = run.description.deployment.count  # no tuning follows what comes after it
         self._metrics = MetricsFile(self._folder.metrics(agent.name))
@@ -146,7 +148,8 @@ class LearnerService:
                 self._recommender.take(moment.deployment, self._gathering.all(moment.deployment))
             return False
         self._reach(moment.policy)
-        if moment.phase == "deployment":
+        gathers = moment.phase == "deployment" and self._gathers
+        if gathers:
             self._gathering.take(question)
         observations = question.observations
         actions = self._learner.act(
@@ -157,7 +160,7 @@ class LearnerService:
             exploring=moment.phase == "deployment" and self._explores[moment.step],
         )
         self._answer(Action(moment, actions, self._digest))
-        if moment.phase == "deployment":
+        if gathers:
             self._gathering.acted(moment, observations, actions)
         return False
 

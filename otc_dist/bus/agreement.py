@@ -9,9 +9,10 @@ from otc_dist.spec import TeamSpec
 
 def copies_by_phase(description: Description) -> dict[str, int]:
     """E, by phase."""
+    episodes = max(description.evaluation.episodes, 1)  # one is asked for in real time without any
     return {
         "deployment": description.env.copies,
-        "evaluation": registry.affordable(description.env.id, description.evaluation.episodes),
+        "evaluation": registry.affordable(description.env.id, episodes),
         "done": 0,
     }
 

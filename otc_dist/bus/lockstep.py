@@ -80,6 +80,24 @@ class HostLockstep:
         Raises:
             GaveUpError: an agent showed no sign of life for `deadline` seconds.
         """
+        answers = self._answers(questions, acting, math.inf)
+        self.answered += 1
+        return [answers[index] for index in range(len(questions))]
+
+    def ask_until(self, questions: Sequence[Observation], until: float) -> list[Action | None]:
+        """As `ask` for actions, but for no longer than `until` (time.monotonic).
+
+        None for an agent whose answer is not there by then: one that comes later is rejected as
+        stale, since the next question is another one.
+        """
+        answers = self._answers(questions, True, until)
+        self.answered += len(answers) == len(questions)
+        return [answers.get(index) for index in range(len(questions))]
+
+    def _answers(
+        self, questions: Sequence[Observation], acting: bool, until: float
+    ) -> dict[int, Action]:
+        """Place in the team -> answer; of all, or of those that have answered by `until`."""
         moment = questions[0].moment
         payloads: list[bytes] = []
         for codec, put, question in zip(self._codecs, self._puts, questions, strict=True):
@@ -93,11 +111,14 @@ class HostLockstep:
         # gather in their inboxes, and this process is not woken for each.
         for index in reversed(range(len(payloads))):
             while index not in answers:
-                received = self._inboxes[index].get(next_repeat)
+                received = self._inboxes[index].get(min(next_repeat, until))
                 answer = received and self._decode(index, received, questions[index], acting)
                 if answer:
                     answers[index] = answer
-                elif (now := time.monotonic()) >= next_repeat:
+                elif (now := time.monotonic()) >= until:
+                    self._look(questions, acting, answers)
+                    return answers
+                elif now >= next_repeat:
                     missing = self._look(questions, acting, answers)
                     self._awaited = tuple(self._names[other] for other in missing)
                     for other in missing:
@@ -107,8 +128,7 @@ class HostLockstep:
                     repeat = min(2 * repeat, _SLOWEST_REPEAT)
                     next_repeat = now + repeat
         self._awaited = ()
-        self.answered += 1
-        return [answers[index] for index in range(len(payloads))]
+        return answers
 
     def _look(
         self, questions: Sequence[Observation], acting: bool, answers: dict[int, Action]

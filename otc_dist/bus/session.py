@@ -19,7 +19,7 @@ Receive = Callable[[bytes], None]
 Query = Callable[[Mapping[str, str]], bytes]
 
 INBOX_SIZE = 256  # messages
-_WAKE_PERIOD = 0.05  # seconds
+WAKE_PERIOD = 0.05  # seconds
 _ATTEMPT = 1.0  # seconds until it is asked why a link does not come about; then doubles, up to
 _LONGEST_ATTEMPT = 4.0  # so that a refusal by a late listener is reported as soon
 
@@ -28,8 +28,8 @@ class Inbox:
     """What was published on a key, waiting for the thread that works; the newest 256 messages.
 
     Waiting happens inside Zenoh, without Python's lock, so that a message wakes one thread only.
-    It has no timeout there; instead the session wakes all that wait, every 50 ms, by an empty one
-    of its own. So empty messages are no messages, from any sender.
+    It has no timeout there; instead the session wakes all that wait, every `wake_period`, by an
+    empty one of its own. So empty messages are no messages, from any sender.
     """
 
     def __init__(self, subscriber: Any, wake: Put) -> None:
@@ -65,6 +65,9 @@ class Session:
 
     Receivers are called on Zenoh's only thread: they must be quick (put into a queue) and must
     not close or undeclare anything. Answering queries happens on a thread of its own.
+
+    Attributes:
+        wake_period: seconds by which `Inbox.get` may miss its deadline.
     """
 
     def __init__(self, session: Any) -> None:
@@ -73,6 +76,7 @@ class Session:
         self._publishers: list[Any] = []
         self._inboxes: list[Inbox] = []
         self._closing = threading.Event()
+        self.wake_period = WAKE_PERIOD
         self._waker = threading.Thread(target=self._wake_inboxes, name="wake", daemon=True)
 
     @classmethod
@@ -177,7 +181,7 @@ class Session:
         return self._inboxes[-1]
 
     def _wake_inboxes(self) -> None:
-        while not self._closing.wait(_WAKE_PERIOD):
+        while not self._closing.wait(self.wake_period):
             for inbox in self._inboxes:
                 inbox.wake()
 

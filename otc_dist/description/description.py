@@ -100,7 +100,23 @@ class Description(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         self.sampling.check(self.algorithm, self.deployment.transitions)
+        if self.deployment.rate_hz is not None:
+            self._check_real_time()
         return self
+
+    def _check_real_time(self) -> None:
+        if self.env.copies != 1:
+            raise ValueError("deployment.rate_hz needs env.copies = 1: devices are not copied")
+        if self.evaluation.episodes:
+            raise ValueError(
+                "deployment.rate_hz needs evaluation.episodes = 0: in real time policies are"
+                " measured by their deployments alone"
+            )
+        if is_code(self.env.id) and self.dataset.name == f"{self.env.id}/random":
+            raise ValueError(
+                "deployment.rate_hz needs data that were recorded: dataset.name = 'random' would"
+                " play the devices at random"
+            )
 
     @classmethod
     def load(cls, path: str | Path, assignments: Iterable[str] = ()) -> Self:
@@ -225,7 +241,7 @@ class Description(Section):
         that is extended goes on with the checkpoints and logs that it has. Where the environment
         changes in the course of the deployments, their number matters: who extends must know.
         """
-        ending = {"count", "keep", "confirm", "floor", "approve"}
+        ending = {"count", "keep", "confirm", "floor", "approve", "reset_by_hand"}
         return _hash(self.model_dump_json(exclude={"bus": {"router"}, "deployment": ending}))
 
     def shared_digest(self) -> str:

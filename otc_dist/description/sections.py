@@ -2,7 +2,13 @@
 
 from typing import Literal, Self
 
-from pydantic import Field, PositiveInt, model_validator
+from pydantic import (
+    Field,
+    PositiveInt,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from otc_dist.description.section import Section
 from otc_dist.names import DatasetId, EnvironmentId
@@ -120,6 +126,26 @@ class DeploymentSection(Section):
         description="no deployment follows one whose measured return is below it; unset: none is",
     )
     approve: bool = Field(default=False, description="wait for a person before each deployment")
+    rate_hz: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        description="steps a second, of devices that do not wait: where an answer is not there in"
+        " time, the agent's action before is held; unset: each step waits for all answers",
+    )
+    reset_by_hand: bool = Field(
+        default=False, description="with rate_hz: wait for a person before each episode"
+    )
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, plain: SerializerFunctionWrapHandler) -> dict[str, object]:
+        """Without what belongs to a clock where none is kept: digests are those of before."""
+        found: dict[str, object] = plain(self)
+        if self.rate_hz is None:
+            found.pop("rate_hz", None)
+        if not self.reset_by_hand:
+            found.pop("reset_by_hand", None)
+        return found
 
     @property
     def total(self) -> int:
@@ -138,6 +164,8 @@ class DeploymentSection(Section):
                     )
         if self.revert and self.keep == "last":
             raise ValueError("revert needs keep = 'best': it goes back to the best deployed policy")
+        if self.reset_by_hand and self.rate_hz is None:
+            raise ValueError("reset_by_hand needs rate_hz: a simulator resets itself")
         return self
 
 

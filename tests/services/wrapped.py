@@ -7,6 +7,8 @@ Faults, all optional:
                 kind of processor trains it
     drop        every message is lost the first so many times
     delay       every message waits up to so many seconds, from a generator seeded by the process
+    late        [n, seconds]: every n-th message waits so long
+    patient     the env host breaks off no episode, however many deadlines a busy machine misses
     kill        [phase, deployment, step]: SIGKILL itself instead of publishing its message of then
     hold        [phase, deployment, step, FIFO]: wait there before the first message of then
     mute        publish no actions
@@ -169,6 +171,9 @@ def _instrument(faults: dict[str, object], keys: set[str]) -> None:
             if faults.get("delay"):
                 time.sleep(delays.random() * float(faults["delay"]))  # type: ignore[arg-type]
             sent[payload] += 1
+            every, seconds = faults.get("late", (0, 0))  # type: ignore[misc]
+            if every and len(sent) % every == 0:
+                time.sleep(seconds)
             muted = faults.get("mute") and last == "action"
             if not muted and sent[payload] > int(faults.get("drop", 0)):  # type: ignore[call-overload]
                 put(payload)
@@ -215,6 +220,10 @@ def main() -> None:
     _instrument(faults, keys)
     if faults.get("stub"):
         sys.modules["otc_dist.learner.learner"] = _stub(str(faults["stub"]))
+    if faults.get("patient"):
+        from otc_dist.services import clock
+
+        clock._MOST = clock._WINDOW
     if "full_disk" in faults:
         _fill_disk(faults["full_disk"])
     runpy.run_module(f"otc_dist.services.{service}", run_name="__main__", alter_sys=True)
