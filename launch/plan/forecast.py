@@ -68,6 +68,13 @@ def acting(description: Description, team: TeamSpec) -> float:
     return Schedule.of(description, len(team.agents)).steps * ACT / 1000
 
 
+def deploying(description: Description, team: TeamSpec, sharing: float) -> float:
+    """Seconds of one deployment; of devices that do not wait at least those of their clock."""
+    seconds, rate = sharing * acting(description, team), description.deployment.rate_hz
+    steps = Schedule.of(description, len(team.agents)).steps
+    return max(seconds, steps / rate) if rate else seconds
+
+
 def judging(description: Description, team: TeamSpec) -> float:
     """At most these seconds of one core for one agent's answers in one evaluation."""
     episodes = description.evaluation.episodes
@@ -100,13 +107,13 @@ def parts(description: Description, team: TeamSpec, here: int) -> list[Part]:
     ]
     for k in range(1, description.deployment.count + 1):
         run += [
-            Part("deployment", k, sharing * acting(description, team)),
+            Part("deployment", k, deploying(description, team, sharing)),
             Part("tuning", k, sharing * tuning(description)),
             Part("evaluation", k, evaluation),
         ]
     if description.deployment.confirm:
         last = description.deployment.total
-        run.append(Part("deployment", last, sharing * acting(description, team)))
+        run.append(Part("deployment", last, deploying(description, team, sharing)))
     return run
 
 

@@ -181,6 +181,10 @@ def _conditions(deployment: DeploymentSection) -> Iterator[str]:
         yield f"no deployment follows one that measures less than {deployment.floor:g}"
     if deployment.approve:
         yield "a person approves each deployment"
+    if deployment.rate_hz is not None:
+        yield f"{deployment.rate_hz:g} steps a second: who answers later repeats its action"
+    if deployment.reset_by_hand:
+        yield "a person resets the devices before each episode"
 
 
 def team_of(description: Description) -> TeamSpec:

@@ -31,7 +31,13 @@ from ..show.process_states import SupervisionFile
 from ..show.summary import show_summary
 from ..show.view import View, open_view
 from ..supervise.observer import Sign, Waiting, nobody_of_run, observing
-from ..supervise.processes import MISTAKE, DiedError, RunProcesses
+from ..supervise.processes import (
+    MISTAKE,
+    STOPPED,
+    DiedError,
+    RunProcesses,
+    StoppedByFileError,
+)
 from ..supervise.signals import Signals
 from ..supervise.supervisor import Supervisor
 from .companions import Companions
@@ -45,8 +51,8 @@ def run_plan(plan: Plan, record: RunRecord) -> int:
     """Run `plan` from wherever its folder stands to its end. Returns the exit status.
 
     0: finished; 1: a process died; 2: a process met a mistake that the user can fix;
-    128 + n: stopped by signal n. In every case no process is left, and unless it finished,
-    the way to go on is printed.
+    3: a person stopped a deployment in real time by a file; 128 + n: stopped by signal n.
+    In every case no process is left, and unless it finished, the way to go on is printed.
     """
     go_on = f"resume with: python -m otc_dist.launch --resume {shlex.quote(str(plan.folder.root))}"
     title = plan.description.name
@@ -78,6 +84,10 @@ def run_plan(plan: Plan, record: RunRecord) -> int:
             ledger.enter("stopped")
             print(f"stopped by {signals.stop.name}; {go_on}")
             return 128 + signals.stop
+        except StoppedByFileError as stopped:
+            ledger.enter("stopped")
+            say(f"{stopped}; {go_on}")
+            return STOPPED
         except UserError:
             if not _gone(plan, record):
                 ledger.enter("failed")
@@ -204,7 +214,7 @@ def _run(
                 raise StoppedError
             finished = processes.look()
             board.events += processes.drain_events() + companions.events()
-            if board.newest.get(HOST, Status(HOST)).phase == "approval":
+            if board.newest.get(HOST, Status(HOST)).phase in ("approval", "reset"):
                 # Not by the phase between two: a short deployment may be over before it is seen.
                 lines = waiting_lines(plan.folder)
                 board.events += lines if lines != asked else []

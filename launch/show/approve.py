@@ -1,4 +1,4 @@
-"""`launch approve RUN`: let the deployment that waits for a person begin."""
+"""`launch approve RUN`: let the deployment, or the episode, that waits for a person begin."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +34,7 @@ class Waiting:
     deployment: Annotated[int, Field(ge=1, lt=2**31)]
     policy: int
     approve_by: str
+    step: Annotated[int, Field(ge=0, lt=2**32)] | None = None  # before which devices are reset
     measured: _Measured | None = None
     greedy_return: float | None = None
 
@@ -42,7 +43,8 @@ def command_line() -> Parser:
     """The parser of the command's arguments."""
     parser = Parser(
         prog="python -m otc_dist.launch approve",
-        description="Let the deployment that a run waits for begin (deployment.approve).",
+        description="Let what a run waits for begin: a deployment (deployment.approve), or an"
+        " episode for which the devices have been reset (deployment.reset_by_hand).",
         allow_abbrev=False,
     )
     parser.add_argument("run", type=Path, help="the run folder, on the machine of the env host")
@@ -60,12 +62,14 @@ def main(argv: list[str]) -> int:
     state = waiting(folder)
     if state is None:
         raise UserError(f"{folder.root} is not waiting for anyone now")
-    approval = folder.approval(state.deployment)
+    resets = state.step is not None
+    approval = folder.reset_approval if resets else folder.approval(state.deployment)
     try:
         approval.touch()
     except OSError as error:
         raise UserError(f"cannot write {approval}: {error.strerror}") from None
-    say(f"approved: deployment {state.deployment}, by policy {state.policy}")
+    what = f", from step {state.step} on" if resets else ""
+    say(f"approved: deployment {state.deployment}{what}, by policy {state.policy}")
     return 0
 
 

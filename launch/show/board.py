@@ -44,6 +44,11 @@ class Board:
         if "return" in appeared:
             won = f", {measures['success']:.1f} % won" if "success" in measures else ""
             self.events.append(f"{status.process}: return {appeared['return']:.1f}{won}")
+        if appeared.get("broken_off"):
+            self.events.append(
+                f"{status.process}: an episode was broken off; actions held so far:"
+                f" {measures['held']:,.0f}, late observations: {measures['late']:,.0f}"
+            )
         if "measured" in appeared:
             measured = plus_minus(measures["measured"], measures["error"])
             self.events.append(
@@ -110,6 +115,8 @@ def describe_phase(status: Status) -> str:
         return "waiting for the learners to come"
     if status.phase == "approval":
         return f"waiting for a person to approve deployment {status.deployment}"
+    if status.phase == "reset":
+        return f"waiting for a reset in deployment {status.deployment}"
     if status.phase == "done":
         return "done"
     return f"{status.phase} {status.deployment}" if status.deployment else status.phase

@@ -31,7 +31,7 @@ _FRESH = 3.0  # seconds for which is believed whom the env host said it waits fo
 State = Literal["starting", "up", "silent", "waiting", "ended"]
 
 # Order of the phases of one deployment, for learners and the env host alike.
-_ORDER = {"starting": 0, "offline": 1, **dict.fromkeys(FITS, 2), "approval": 2}
+_ORDER = {"starting": 0, "offline": 1, **dict.fromkeys(FITS, 2), "approval": 2, "reset": 3}
 _LATER = {"deployment": 3, "tuning": 3, "evaluation": 4, "ready": 5, "done": 6}
 _RANK = {**_ORDER, **_LATER}
 Position = tuple[int, int, int]  # deployment, rank of the phase, update

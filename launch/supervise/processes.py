@@ -13,6 +13,7 @@ from .supervisor import End, Supervisor
 
 CLOSING = 5.0  # seconds: an env host that ends takes its socket with it before its end shows
 MISTAKE = 2  # exit status of a process that met what only the user can fix
+STOPPED = 3  # exit status of an env host that a person's file has stopped
 
 
 class DiedError(Exception):
@@ -26,6 +27,10 @@ class DiedError(Exception):
     def __init__(self, end: End, manner: str, restarts: int = 0, explained: bool = False) -> None:
         super().__init__(end.process)
         self.end, self.manner, self.restarts, self.explained = end, manner, restarts, explained
+
+
+class StoppedByFileError(Exception):
+    """A person's file has stopped the env host, in order. The message is its line."""
 
 
 class RunProcesses:
@@ -90,6 +95,7 @@ class RunProcesses:
 
         Raises:
             DiedError: a process met a mistake that the user must fix, or died too often.
+            StoppedByFileError: the env host has ended since a person asked it to.
         """
         now = time.monotonic()
         if now - self._looked > FROZEN_AFTER:  # it was the launcher that was frozen
@@ -100,6 +106,8 @@ class RunProcesses:
             if end.status == 0 or HOST in self._finished:
                 self._finished.add(end.process)
                 self.health.ended(end.process, now)
+            elif end.process == HOST and end.status == STOPPED:
+                raise StoppedByFileError("".join(end.last_lines(1)))
             else:
                 self._start_again(end, now)
         lost = self.health.lost(now, processor_time, queued)
