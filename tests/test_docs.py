@@ -10,7 +10,10 @@ ROOT = Path(__file__).parents[1]
 DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [*(ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")), *DOCS]
 LONGEST = 110  # characters of a line
-TOPS = ("otc_dist", "services", "launch", "tests", "benchmarks", "docs", "results", r"\.ci")
+TOPS = (
+    *("otc_dist", "services", "launch", "tests", "benchmarks", "docs", "results", "examples"),
+    r"\.ci",
+)
 # A path below one of our folders, or a file of the root by its name.
 OURS = re.compile(
     rf"(?<![\w./-])((?:{'|'.join(TOPS)})/[\w./*-]*[\w*/]"
