@@ -59,6 +59,17 @@ def test_what_a_deployment_measured_is_told_with_its_error() -> None:
     assert seen.drain_events()[-1] == "host: deployment 2 measured 2,586.0 ± 151.3"
 
 
+def test_an_episode_that_was_broken_off_is_told_once() -> None:
+    seen = board()
+    counts = {"held": 3.0, "late": 9.0}
+    for broken_off in (0.0, 1.0, 1.0):
+        seen.take(status("host", "deployment", 1, **counts, broken_off=broken_off), clock=0.0)
+    line = "host: an episode was broken off; actions held so far: 3, late observations: 9"
+    assert seen.drain_events().count(line) == 1
+    seen.take(status("host", "reset", 1, **counts, broken_off=1.0), clock=0.0)
+    assert seen.drain_events() == ["host: waiting for a reset in deployment 1"]
+
+
 def test_nobody_knows_how_long_a_person_takes() -> None:
     seen = board()
     seen.take(status("agent_0", "ready", 2), clock=0.0)

@@ -217,7 +217,7 @@ def test_whom_a_host_waits_for_that_says_nothing_any_more_is_not_held_against_ot
     assert health.lost(DEADLINE + 10, at_rest) == {}
 
 
-@pytest.mark.parametrize("phase", ["gathering", "approval"])
+@pytest.mark.parametrize("phase", ["gathering", "approval", "reset"])
 def test_who_waits_for_others_or_for_a_person_is_not_judged(health: Health, phase: str) -> None:
     hear(health, 10 * DEADLINE, Status("host", phase, 1), Status("agent_0", "waiting"))
     assert health.lost(10 * DEADLINE, at_rest) == {}
