@@ -18,7 +18,7 @@ from otc_dist.learner.trainer import Progress
 from otc_dist.randomness import stream
 from otc_dist.run.folder import RunFolder
 from otc_dist.spec import AgentSpec
-from otc_dist.steps.engine import check
+from otc_dist.steps.engine import compiling
 from otc_dist.terminal.errors import run_main
 from otc_dist.terminal.progress import beside
 from otc_dist.transitions import Transitions
@@ -52,14 +52,14 @@ def compile_updates(
     Raises:
         UserError: what this torch compiles is wrong.
     """
-    check(description.engine)
     agents = {
         (agent.observation_size, agent.action_size): agent
         for agent in registry.team_spec(description.env.id).agents
         if agent.name in names or not names
     }
-    for agent in agents.values():
-        _exercise(description, agent, fits)
+    with compiling(description.engine):
+        for agent in agents.values():
+            _exercise(description, agent, fits)
 
 
 def _exercise(description: Description, agent: AgentSpec, fits: Iterable[str]) -> None:

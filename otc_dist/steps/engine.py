@@ -7,7 +7,9 @@ description.
 
 import os
 import shutil
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from threading import Thread
 from types import FunctionType, MethodType
 from typing import Any, Literal, cast
 
@@ -81,6 +83,26 @@ def check(resolved: EngineSection) -> None:
                 f"matrix products of our own fail with torch {torch.__version__} ({fault}); start"
                 " with --set engine.products=torch"
             )
+
+
+@contextmanager
+def compiling(resolved: EngineSection) -> Iterator[None]:
+    """Where much is compiled: a second core does what can be done beside.
+
+    Raises:
+        UserError: as `check`.
+    """
+    check(resolved)
+    if resolved.name != "compiled":
+        yield
+        return
+    _keep_compiled()
+    beside = Thread(target=torch_internals.compile_headers)
+    beside.start()
+    try:
+        yield
+    finally:
+        beside.join()
 
 
 def _compiler() -> str | None:

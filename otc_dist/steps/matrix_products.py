@@ -18,7 +18,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch._inductor import config
 from torch._inductor.config import aot_inductor
+from torch._inductor.cpu_vec_isa import pick_vec_isa, valid_vec_isa_list
 from torch._inductor.custom_graph_pass import CustomGraphPass, get_hash_for_files
 from torch.fx import Graph
 
@@ -92,7 +94,8 @@ def loaded(compiler: str) -> Path | None:
         compiler: a C++ compiler's path.
     """
     try:
-        library = ctypes.CDLL(str(built := _built(compiler)), mode=os.RTLD_GLOBAL)
+        built = _built_for_vectors(compiler)
+        library = ctypes.CDLL(str(built), mode=os.RTLD_GLOBAL)
     except (OSError, subprocess.CalledProcessError) as error:
         said = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
         log.warning(
@@ -109,19 +112,37 @@ def loaded(compiler: str) -> Path | None:
     return built
 
 
-def _built(compiler: str) -> Path:
+def _built_for_vectors(compiler: str) -> Path:
+    """The library, which shows that the compiler knows the processor's vectors.
+
+    torch would see that by a file for each kind of them and a Python that loads it, 6 s together.
+
+    Raises:
+        OSError, subprocess.CalledProcessError: it cannot be made.
+    """
+    valid_vec_isa_list.cache_clear()
+    with config.patch({"cpp.vec_isa_ok": True}):
+        widest = pick_vec_isa()  # which torch remembers from now on
+    try:
+        return _built(compiler, *widest.build_arch_flags().split())
+    except subprocess.CalledProcessError:
+        valid_vec_isa_list.cache_clear()
+        return _built(compiler)
+
+
+def _built(compiler: str, *flags: str) -> Path:
     """The library, compiled at most once for what it is made of, a torch and a compiler.
 
     Raises:
         OSError, subprocess.CalledProcessError: it cannot be made.
     """
     sources = SOURCE.read_text() + Path(__file__).read_text()
-    made_of = f"{sources}\0{torch.__version__}\0{compiler}"
+    made_of = "\0".join((sources, torch.__version__, compiler, *flags))
     library = compiled_root() / f"product-{hashlib.blake2b(made_of.encode()).hexdigest()[:16]}.so"
     if not library.exists():
         with TemporaryDirectory(dir=library.parent) as folder:
             new = Path(folder, library.name)
-            command = [compiler, "-O3", "-shared", "-fPIC", "-std=c++17", str(SOURCE)]
+            command = [compiler, *flags, "-O3", "-shared", "-fPIC", "-std=c++17", str(SOURCE)]
             command += ["-o", str(new), f"-I{TORCH / 'include'}", f"-L{TORCH / 'lib'}"]
             command += ["-ltorch_cpu", "-lc10"]
             subprocess.run(command, check=True, capture_output=True, text=True)

@@ -3,11 +3,13 @@
 import os
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event, current_thread, main_thread
 
 import numpy as np
 import pytest
 import torch
 from torch._dynamo.utils import counters
+from torch._inductor.codecache import CppWrapperCodeCache
 
 from otc_dist.description.sections import EngineName, EngineSection, ProductsName
 from otc_dist.learner.learner import Learner
@@ -96,6 +98,23 @@ def test_results_do_not_depend_on_how_many_threads_there_were() -> None:
     finally:
         torch.set_num_threads(before)
     assert len(digests) == 1
+
+
+def test_headers_are_compiled_beside_whatever_becomes_of_it(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    asked = Event()
+
+    def load_async(code: str, **options: object) -> None:
+        assert current_thread() is not main_thread()
+        asked.set()
+        raise OSError("no space left")
+
+    monkeypatch.setattr(CppWrapperCodeCache, "load_async", load_async)
+    for name, headers in (("eager", False), ("compiled", True)):
+        with engine.compiling(EngineSection(name=name, products="torch")):
+            assert asked.wait(60.0 if headers else 0.0) == headers
+    assert capfd.readouterr() == ("", "")
 
 
 def test_eager_functions_record_no_gradient() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 from torch import Tensor
+from torch._inductor.cpu_vec_isa import pick_vec_isa, valid_vec_isa_list
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from otc_dist.steps import matrix_products, torch_internals
@@ -81,3 +82,22 @@ def test_a_kernel_that_does_not_compile_is_one_line(
     (said,) = (record.getMessage() for record in caplog.records if record.name == own)
     assert said.startswith("matrix products are left to torch: product.cpp does not")
     assert "no such kernel" in said and "\n" not in said
+
+
+@pytest.mark.slow
+def test_a_compiler_that_does_not_know_the_vectors_is_asked_by_torch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """torch tries none of those that our own library was compiled for."""
+    flags = pick_vec_isa().build_arch_flags().split()
+    if not flags:
+        pytest.skip("this processor's vectors need no flags")
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path))
+    old = tmp_path / "old"
+    old.write_text(f'#!/bin/sh\ncase "$*" in *{flags[0]}*) exit 1;; esac\nexec g++ "$@"\n')
+    old.chmod(0o755)
+    made = set()
+    for compiler, trusted in (("g++", 1), (str(old), 0)):
+        made.add(matrix_products._built_for_vectors(compiler))
+        assert valid_vec_isa_list.cache_info().currsize == trusted
+    assert len(made) == 2 and all(path.exists() for path in made)

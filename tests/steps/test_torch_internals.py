@@ -87,6 +87,7 @@ def test_the_torch_that_is_tested_has_it_all(
     forgotten: None, caplog: pytest.LogCaptureFixture
 ) -> None:
     tested = (Path(__file__).parents[2] / "constraints.txt").read_text().splitlines()
+    assert f"torch=={torch_internals.TESTED}" in tested
     if f"torch=={torch.__version__.partition('+')[0]}" not in tested:
         pytest.skip("another torch may lack something")
     engine._keep_compiled()
@@ -102,6 +103,7 @@ def test_a_torch_that_compiles_products_wrongly_is_one_line(
     if engine.resolve(EngineSection(name="compiled"), 1) != own:
         pytest.skip("this processor has no such kernel")
     library = tmp_path / "product.so"  # which was not tried
+    monkeypatch.setattr(torch_internals, "TESTED", "another torch")
     monkeypatch.setattr(matrix_products, "loaded", lambda compiler: library)
     monkeypatch.setattr(torch, "equal", lambda *tensors: False)
     with pytest.raises(
@@ -110,6 +112,9 @@ def test_a_torch_that_compiles_products_wrongly_is_one_line(
         engine.check(own)
     monkeypatch.undo()
     monkeypatch.setattr(matrix_products, "loaded", lambda compiler: library)
+    engine.check(own)  # the torch that all tests run with is not tried again
+    assert not library.with_suffix(".tried").exists()
+    monkeypatch.setattr(torch_internals, "TESTED", "another torch")
     engine.check(own)
     assert library.with_suffix(".tried").exists()
 
