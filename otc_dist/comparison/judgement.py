@@ -32,6 +32,7 @@ def worst_deployed(run: Run) -> float:
 
 
 RECOMMENDED, MEAN, WORST = "recommended", "mean", "worst"
+GAINS = (RECOMMENDED, MEAN)  # what is also held against pi_0
 JUDGED: dict[str, Callable[[Run], float | None]] = {
     RECOMMENDED: recommended,
     MEAN: over_deployments,

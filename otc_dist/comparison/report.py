@@ -6,7 +6,6 @@ from dataclasses import asdict
 from otc_dist.comparison import charts, tables
 from otc_dist.comparison.arms import REFERENCE, Arms
 from otc_dist.comparison.conclusion import ENOUGH
-from otc_dist.comparison.judgement import RECOMMENDED
 from otc_dist.comparison.score_statistics import Summary
 from otc_dist.comparison.scores import ComparisonFolder, Run, write_json
 from otc_dist.description import Description
@@ -93,12 +92,15 @@ def page(
 
 
 def _judged(summary: Summary) -> list[str]:
-    """What the runs are judged by: the recommended policy's gain, and all paired differences."""
+    """What the runs are judged by: the gains over pi_0, and all paired differences."""
     names, colours = tables.judged(summary), charts.arm_colours(summary)
     found, folded = [], []
-    if RECOMMENDED in names:
-        gains = list(tables.gain_rows(summary))
-        found += [html.note(tables.GAIN), html.table(gains[0], gains[1:], colours=colours)]
+    for name in tables.gains(summary):
+        rows = list(tables.gain_rows(summary, name))
+        found += [
+            html.note(tables.GAIN_TITLES[name]),
+            html.table(rows[0], rows[1:], colours=colours),
+        ]
     for name in names:
         rows = list(tables.difference_rows(summary, name))
         folded.append(html.note(tables.JUDGED_TITLES[name]))

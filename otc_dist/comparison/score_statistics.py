@@ -5,7 +5,7 @@ seeds that both sides have.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from otc_dist.comparison.arms import PERFECT, REFERENCE
 from otc_dist.comparison.conclusion import conclude
 from otc_dist.comparison.intervals import Difference
-from otc_dist.comparison.judgement import JUDGED, MEAN, recommended, returns
+from otc_dist.comparison.judgement import GAINS, JUDGED, MEAN, returns
 from otc_dist.comparison.scores import Run
 from otc_dist.report.return_statistics import Spread
 from otc_dist.transitions import Float64
@@ -44,7 +44,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Gain:
-    """What the recommended policy has over pi_0."""
+    """What one of `judgement.GAINS` has over pi_0."""
 
     difference: Difference
     median: float  # percent of |R_0|; NaN where an R_0 is 0
@@ -60,7 +60,7 @@ class Arm:
             task has reference returns `normalised score` and `gain` (in normalised score, over
             pi_0), and where its episodes are won or lost `success` (percent won).
         judged: by `judgement.JUDGED`; without `recommended` where no deployment was measured.
-        gain: None where no deployment was measured.
+        gains: by `judgement.GAINS`; without `recommended` where no deployment was measured.
         differences: in return from the reference, at pi_1 .. pi_K; of the reference itself empty.
     """
 
@@ -69,7 +69,7 @@ class Arm:
     seeds: list[int]
     measures: dict[str, Measure]
     judged: dict[str, Judged]
-    gain: Gain | None
+    gains: dict[str, Gain]
     differences: list[Difference]
 
     @property
@@ -140,7 +140,7 @@ def _arm(name: str, held: Mapping[str, Mapping[int, Run]], normalise: Normalise)
         seeds,
         measures,
         _judged(name, held),
-        _gain(mine.values()),
+        _gains(mine.values()),
         differences,
     )
 
@@ -181,14 +181,17 @@ def _share(above: BySeed, ceiling: BySeed) -> float | None:
     return float(np.mean([above[seed] for seed in common])) / most.mean
 
 
-def _gain(runs: Iterable[Run]) -> Gain | None:
-    gained, relative = {}, []
-    for run in runs:
-        value, first = recommended(run), returns(run)[0]
-        if value is not None:
-            gained[run.seed] = value - first
-            relative.append(100 * (value - first) / abs(first) if first else math.nan)
-    return Gain(Difference.of(gained), float(np.median(relative))) if gained else None
+def _gains(runs: Collection[Run]) -> dict[str, Gain]:
+    gains = {}
+    for measure in GAINS:
+        found = {run.seed: (JUDGED[measure](run), returns(run)[0]) for run in runs}
+        gained = {s: value - first for s, (value, first) in found.items() if value is not None}
+        if gained:
+            relative = [
+                100 * gained[s] / abs(found[s][1]) if found[s][1] else math.nan for s in gained
+            ]
+            gains[measure] = Gain(Difference.of(gained), float(np.median(relative)))
+    return gains
 
 
 def _measures(found: Float64, normalise: Normalise) -> dict[str, Measure]:

@@ -36,10 +36,11 @@ SHARE = (
     f"of the way: from {REFERENCE} to {PERFECT}, where both intervals of {PERFECT} minus"
     f" {REFERENCE} exclude 0"
 )
-GAIN = (
-    "gain of the recommended policy over pi_0; the best of several deployments has one with any"
-    " sampling"
-)
+GAIN_TITLES = {
+    RECOMMENDED: "gain of the recommended policy over pi_0; the best of several deployments has"
+    " one with any sampling",
+    MEAN: "gain of the mean over the deployments over pi_0: of tuning, without keeping the best",
+}
 NOTHING = "-"
 
 
@@ -70,13 +71,18 @@ def measure_rows(summary: Summary, measure: str) -> Iterator[list[str]]:
     yield [f"mean 1..{last}", *(spread(one.over_deployments) for one in found)]
 
 
-def gain_rows(summary: Summary) -> Iterator[list[str]]:
-    """The header, and what each arm's recommended policy returns and has over pi_0."""
-    yield [RECOMMENDED, "return", "IQM", "minus pi_0", "by t", "above pi_0", "median gain"]
+def gains(summary: Summary) -> list[str]:
+    """What is held against pi_0, in the order in which it is reported."""
+    return [name for name in GAIN_TITLES if any(name in arm.gains for arm in summary.arms)]
+
+
+def gain_rows(summary: Summary, measure: str) -> Iterator[list[str]]:
+    """The header, and what each arm returns by that measure and has over pi_0."""
+    yield [measure, "return", "IQM", "minus pi_0", "by t", "above pi_0", "median gain"]
     for arm in null_last(summary):
-        if arm.gain:
-            found, gained = arm.judged[RECOMMENDED].spread, arm.gain.difference
-            median = arm.gain.median
+        if measure in arm.gains:
+            found, gained = arm.judged[measure].spread, arm.gains[measure].difference
+            median = arm.gains[measure].median
             yield [
                 label(arm),
                 spread(found),
@@ -133,9 +139,9 @@ def text(summary: Summary) -> Iterator[str]:
         yield f"\n{TITLES[measure]}, mean ± std over seeds"
         yield from aligned(measure_rows(summary, measure), str.rjust)
     yield f"\n{METHOD};\npaired differences are over the seeds that both sides have"
-    if RECOMMENDED in judged(summary):
-        yield f"\n{GAIN}"
-        yield from aligned(gain_rows(summary), str.rjust)
+    for name in gains(summary):
+        yield f"\n{GAIN_TITLES[name]}"
+        yield from aligned(gain_rows(summary, name), str.rjust)
     for name in judged(summary):
         yield f"\n{JUDGED_TITLES[name]}"
         yield from aligned(difference_rows(summary, name), str.rjust)

@@ -120,7 +120,11 @@ def test_the_recommended_policy_is_the_one_whose_deployment_was_best() -> None:
     assert arm.judged["recommended"].spread.mean == 120
     assert arm.judged["worst"].spread.mean == 100
     assert arm.judged["mean"].spread.mean == (120 + 300 + 900) / 3
-    assert arm.gain is not None and arm.gain.difference.values == [20] and arm.gain.median == 20
+    assert {name: gain.difference.values for name, gain in arm.gains.items()} == {
+        "recommended": [20],
+        "mean": [(120 + 300 + 900) / 3 - 100],
+    }
+    assert arm.gains["recommended"].median == 20
 
 
 def test_what_runs_are_judged_by_is_compared_seed_by_seed() -> None:
@@ -134,8 +138,11 @@ def test_what_runs_are_judged_by_is_compared_seed_by_seed() -> None:
         for name, judged in summary.arm("otc-value").judged.items()
     }
     assert found == {"recommended": [40, -10], "mean": [80 - 115, 90 - 200], "worst": [0, -20]}
-    gain = summary.arm("otc-value").gain
-    assert gain is not None and (gain.difference.above, gain.median) == (1, 25)
+    gains = summary.arm("otc-value").gains
+    assert {name: (one.difference.above, one.median) for name, one in gains.items()} == {
+        "recommended": (1, 25),
+        "mean": (0, (-20 - 55) / 2),
+    }
     assert summary.arm(REFERENCE).judged["recommended"].difference is None
 
 
@@ -144,7 +151,9 @@ def test_a_run_whose_deployments_were_not_measured_recommends_nothing() -> None:
         REFERENCE: [Run(REFERENCE, 0, "", run(REFERENCE, 0, 1, 2).evaluations, measured=[None])]
     }
     summary = summarise(runs, lambda value: None)
-    assert list(summary.arms[0].judged) == ["mean", "worst"] and summary.arms[0].gain is None
+    assert list(summary.arms[0].judged) == ["mean", "worst"] and list(summary.arms[0].gains) == [
+        "mean"
+    ]
     assert "recommended policy" not in "\n".join(tables.text(summary)).split("By the")[0]
 
 
