@@ -92,5 +92,6 @@ def test_the_text_has_a_row_for_every_policy(
     lines = list(tables.text(summary))
     for k in range(base.deployment.count + 1):
         assert sum(line.startswith(f"pi_{k} ") for line in lines) == 4  # one a measure
-    assert sum(bool(re.match(r"uniform-null .*\[.*\]", line)) for line in lines) == 4
+    rows = sum(bool(re.match(r"uniform-null .*\[.*\]", line)) for line in lines)
+    assert rows == 5  # two gains over pi_0, three differences from the reference
     assert lines[-1].strip() == summary.conclusion

@@ -165,7 +165,7 @@ def test_a_run_begins_with_the_policies_of_another_and_trains_none(
     [
         (("2agent_halfcheetah",), "is of other agents: agent_0 with observations of 11 and"),
         (("1agent_hopper",), "is of other agents"),
-        (("3agent_hopper", "--set", "algorithm.name=td3bc"), "another algorithm: algorithm.name"),
+        (("3agent_hopper", "--set", "algorithm.name=bcq"), "another algorithm: algorithm.name"),
         (
             ("3agent_hopper", "--set", "algorithm.batch_size=31"),
             "another algorithm: algorithm.batch_size = 32 is not this description's",
