@@ -19,6 +19,7 @@ JOINTS = ("shoulder", "elbow")  # as in JointState.name; agents are called by th
 STATES, COMMANDS = "/joint_states", "/velocity_controller/commands"
 FASTEST = 0.5  # rad/s
 SILENCE = 0.5  # seconds without a state, after which the robot counts as lost
+DISCOVERY = 10.0  # seconds that it may take to find the robot first
 
 Numbers = NDArray[np.float32]
 
@@ -46,10 +47,9 @@ class Graph:
         self._node = Node("otc_dist")
         self._node.create_subscription(JointState, STATES, self._hear, qos_profile_sensor_data)
         self._commands = self._node.create_publisher(Float64MultiArray, COMMANDS, 1)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._executor.spin, name="ros2", daemon=True)
-        self._thread.start()
+        executor = SingleThreadedExecutor()
+        executor.add_node(self._node)
+        threading.Thread(target=executor.spin, name="ros2", daemon=True).start()
 
     def _hear(self, message: Any) -> None:
         places = [list(message.name).index(joint) for joint in JOINTS]
@@ -58,11 +58,11 @@ class Graph:
             self._state = np.array(rows, np.float32)
             self._news.notify_all()
 
-    def state(self) -> Numbers:
+    def state(self, timeout: float = SILENCE) -> Numbers:
         """The newest state that was not given yet, (2, position and velocity)."""
         with self._news:
-            if not self._news.wait_for(lambda: self._state is not None, SILENCE):
-                raise TimeoutError(f"nothing on {STATES} for {SILENCE:g} s")
+            if not self._news.wait_for(lambda: self._state is not None, timeout):
+                raise TimeoutError(f"nothing on {STATES} for {timeout:g} s")
             state, self._state = self._state, None
         assert state is not None
         return state
@@ -70,15 +70,9 @@ class Graph:
     def command(self, speeds: Numbers) -> None:
         self._commands.publish(self._message(data=[float(speed) for speed in speeds]))
 
-    def close(self) -> None:
-        """The joints at rest, the node gone."""
-        import rclpy
-
+    def rest(self) -> None:
+        """Stop both joints."""
         self.command(np.zeros(len(JOINTS), np.float32))
-        self._executor.shutdown()
-        self._thread.join()
-        self._node.destroy_node()
-        rclpy.shutdown()
 
 
 class Arm(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
@@ -106,8 +100,8 @@ class Arm(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
         self.agents, self._steps = list(JOINTS), 0
         if self._graph is None:
             self._graph = Graph()
-        self._graph.command(np.zeros(len(JOINTS), np.float32))
-        return self._seen(self._graph.state()), {joint: {} for joint in JOINTS}
+        self._graph.rest()
+        return self._seen(self._graph.state(DISCOVERY)), {joint: {} for joint in JOINTS}
 
     def _seen(self, state: Numbers) -> dict[str, Numbers]:
         rows = {joint: np.roll(state, -place, axis=0) for place, joint in enumerate(JOINTS)}
@@ -137,9 +131,9 @@ class Arm(ParallelEnv):  # type: ignore[misc]  # PettingZoo is untyped
         )
 
     def close(self) -> None:
+        """The joints rest. The node stays, to be found again at once, as long as the process."""
         if self._graph is not None:
-            self._graph.close()
-            self._graph = None
+            self._graph.rest()
 
 
 def parallel_env() -> Arm:

@@ -8,7 +8,6 @@ import json
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import check_whole
 from otc_dist.deployment_log.writer import LogWriter
 from otc_dist.envs import registry
+from otc_dist.envs.base import BatchedEnv
 from otc_dist.envs.rollout import Rollout
 from otc_dist.run.host_state import HostState
 from otc_dist.system import durable
@@ -38,7 +38,7 @@ from .history import history_of
 from .host_bus import open_bus
 from .host_report import HostReport
 from .process import Run, check_endpoints, parser, recording, serve
-from .real_time import RealTime
+from .real_time import RealTime, at_rest
 from .restore import open_log
 
 log = logging.getLogger(__name__)
@@ -149,12 +149,12 @@ class EnvHost:
         self.report.enter("deployment", k, self._schedule.steps)
         description = self._description
         env = registry.make(self._run.team.env_id, description.env.copies, description.progress(k))
-        with closing(env), recording(path, "the steps recorded so far are kept"):
+        with at_rest(env), recording(path, "the steps recorded so far are kept"):
             rollout = Rollout(env, description.seed, "deployment", k, begin=not self._timed)
             self.report.rollout = rollout
             writer, last = open_log(self._run, k, rollout)
             try:
-                last = self._play(k, rollout, writer, last)
+                last = self._play(k, env, rollout, writer, last)
                 self._ask("deployment", k, rollout.step, rollout.observations, last)
                 writer.finish(self._state.policies)
             finally:
@@ -163,7 +163,7 @@ class EnvHost:
         self.report.deployed(k, self._conditions.measured(k))
 
     def _play(
-        self, k: int, rollout: Rollout, writer: LogWriter, last: JointStep | None
+        self, k: int, env: BatchedEnv, rollout: Rollout, writer: LogWriter, last: JointStep | None
     ) -> JointStep | None:
         """Play deployment k behind `last`, the last logged step, to its end; its last step."""
 
@@ -179,7 +179,7 @@ class EnvHost:
         if self._timed:
             if rollout.step < self._schedule.steps:
                 self._rehearse(k)
-            return RealTime(self._run, k, rollout, ask, write, self.report).play(last)
+            return RealTime(self._run, k, rollout, ask, write, env.close, self.report).play(last)
         while rollout.step < self._schedule.steps:
             answers = ask(last, None)
             last = rollout.advance(_actions(answers), self._schedule.exploring(rollout.step))

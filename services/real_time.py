@@ -2,7 +2,8 @@
 
 An agent whose answer is not there when it is due acts as it did before: its action is held, and
 logged as what was executed, with a flag. In an episode's first step there is nothing to hold;
-nothing moves yet either, and so all answers are waited for.
+nothing moves yet either, and so all answers are waited for. When an episode is over, the
+environment is closed at once: devices rest whenever none is under way.
 
 An episode that cannot go on, since a person stops it, the process died in it, or too many deadlines
 are missed, is broken off: one step more, which did not happen, is logged as terminated *and*
@@ -11,12 +12,14 @@ that step, and what happened before it counts like everything else.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from otc_dist.bus.messages import Action
+from otc_dist.envs.base import BatchedEnv
 from otc_dist.envs.discrete_actions import refused
 from otc_dist.envs.rollout import Rollout
 from otc_dist.terminal.errors import UserError
@@ -42,6 +45,7 @@ class RealTime:
         rollout: at the end of what is logged; its next episode has not begun.
         ask: the agents, given the last step, by when answers are due, or None: as long as it takes.
         write: logs a step.
+        rest: closes the environment, which can be reset again.
     """
 
     def __init__(
@@ -51,11 +55,13 @@ class RealTime:
         rollout: Rollout,
         ask: Ask,
         write: Callable[[JointStep], None],
+        rest: Callable[[], None],
         report: HostReport,
     ) -> None:
         self._folder, self._settings = run.folder, run.description.deployment
         self._agents, self._schedule, self._k = run.team.agents, run.schedule, k
-        self._rollout, self._ask, self._write, self._report = rollout, ask, write, report
+        self._rollout, self._report = rollout, report
+        self._ask, self._write, self._rest = ask, write, rest
         assert self._settings.rate_hz is not None
         self._rate = self._settings.rate_hz
         self._clock, self._misses = Clock(self._rate), Misses(run.team.names)
@@ -100,33 +106,44 @@ class RealTime:
         self._report.within("deployment")
 
     def _play_episode(self, last: JointStep | None) -> JointStep:
-        rollout, begun = self._rollout, self._rollout.step
-        self._misses.begin()
-        answers = self._ask(last, None)
-        acting = _executed(answers, ())
+        begun, answers = self._rollout.step, self._ask(last, None)
         with orderly() as signalled:
-            self._clock.begin()
-            while True:
-                step = rollout.play(acting, self._schedule.exploring(rollout.step))
-                held = tuple(answer is None for answer in answers)
-                last = replace(step, held=held, late=self._clock.tick())
-                self._write(last)
-                self._misses.note(last.held, last.late)
-                self._tell()
-                if rollout.over or self._complete:
-                    self._in_a_row = 0
-                    return last
-                if signalled() or person.stops(self._folder):
-                    return self._break_off(last)
-                if missed := self._misses.too_many:
-                    last = self._break_off(last)
-                    self._judge(missed, last.step - begun)
-                    return last
-                answers = self._ask(last, self._clock.due)
-                acting = _executed(answers, acting)
-                if agent := self._stuck(acting):
-                    log.warning("%s cannot do what it did before: its episode is broken off", agent)
-                    return self._break_off(last)
+            last, missed = self._play_steps(answers, signalled)
+            self._rest()
+            if not (self._rollout.over or self._complete):
+                last = self._break_off(last)
+            if missed is None:
+                self._in_a_row = 0
+            else:
+                self._judge(missed, last.step - begun)
+        return last
+
+    def _play_steps(
+        self, answers: Sequence[Action | None], signalled: Callable[[], bool]
+    ) -> tuple[JointStep, str | None]:
+        """The episode from its first `answers` on, as far as it goes: its last step, and which
+        deadlines were missed if these were too many.
+        """
+        rollout, acting = self._rollout, _executed(answers, ())
+        self._misses.begin()
+        self._clock.begin()
+        while True:
+            step = rollout.play(acting, self._schedule.exploring(rollout.step))
+            held = tuple(answer is None for answer in answers)
+            step = replace(step, held=held, late=self._clock.tick())
+            self._write(step)
+            self._misses.note(step.held, step.late)
+            self._tell()
+            over = rollout.over or self._complete
+            if over or signalled() or person.stops(self._folder):
+                return step, None
+            if missed := self._misses.too_many:
+                return step, missed
+            answers = self._ask(step, self._clock.due)
+            acting = _executed(answers, acting)
+            if agent := self._stuck(acting):
+                log.warning("%s cannot do what it did before: its episode is broken off", agent)
+                return step, None
 
     def _break_off(self, last: JointStep) -> JointStep:
         """Log that the episode under way ends with `last`."""
@@ -171,6 +188,24 @@ class RealTime:
 
     def _tell(self) -> None:
         self._report.metrics = {**self._misses.metrics, "broken_off": float(self._broken_off)}
+
+
+@contextmanager
+def at_rest(env: BatchedEnv) -> Iterator[None]:
+    """At the end, whatever ends it, close `env`; of two errors the first is told, the other noted.
+
+    Raises:
+        UserError: the user's code cannot be closed.
+    """
+    try:
+        yield
+    except BaseException:
+        try:
+            env.close()
+        except UserError as error:
+            log.warning("%s", error)
+        raise
+    env.close()
 
 
 def _executed(answers: Sequence[Action | None], acting: Sequence[Float32]) -> list[Float32]:

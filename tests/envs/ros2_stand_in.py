@@ -4,7 +4,6 @@ A robot of two joints answers each command with its next state, and says nothing
 """
 
 import sys
-import threading
 from collections.abc import Callable
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -35,7 +34,7 @@ class Robot:
 
     def install(self, patch: pytest.MonkeyPatch) -> None:
         """Let `import rclpy` find this robot."""
-        robot, stopped = self, threading.Event()
+        robot = self
 
         class Node:
             def __init__(self, name: str) -> None:
@@ -49,24 +48,15 @@ class Robot:
                 robot.calls.append(f"tells {topic}")
                 return robot
 
-            def destroy_node(self) -> None:
-                robot.calls.append("node destroyed")
-
         class Executor:
             def add_node(self, node: Node) -> None:
                 robot.calls.append("spins")
 
             def spin(self) -> None:
-                stopped.wait()
-
-            def shutdown(self) -> None:
-                stopped.set()
+                pass  # who publishes hears at once
 
         contents: dict[str, dict[str, Any]] = {
-            "rclpy": {
-                "init": lambda **how: robot.calls.append(f"init {how}"),
-                "shutdown": lambda: robot.calls.append("shutdown"),
-            },
+            "rclpy": {"init": lambda **how: robot.calls.append(f"init {how}")},
             "rclpy.executors": {"SingleThreadedExecutor": Executor},
             "rclpy.node": {"Node": Node},
             "rclpy.qos": {"qos_profile_sensor_data": None},

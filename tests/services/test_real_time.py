@@ -13,11 +13,13 @@ import pytest
 
 from otc_dist.deployment_log.arrays import read_log
 from otc_dist.deployment_log.format import partial_path
+from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.reader import read_header, read_steps, read_summary
 from otc_dist.envs import registry
 from otc_dist.replay.__main__ import main as replay
 from otc_dist.replay.policies import Verdict, _check
+from otc_dist.run.measured_returns import TooFewError
 from otc_dist.spec import TeamSpec
 from otc_dist.transitions import JointStep
 
@@ -89,7 +91,10 @@ def test_the_log_has_what_was_executed_and_says_what_was_held(
     held = np.array([step.held for step in steps])
     assert held[:, 1].mean() > 0.1  # every fifth, but for the first of an episode
     assert np.mean([step.late for step in steps]) > 0.02  # a tenth, by half a period or more
-    assert commands[-1] == "stop"
+    # The carts rest after each episode, before anything else is done.
+    ends = [at for at, command in enumerate(commands) if command == "stop"]
+    episodes = [read_summary(run.folder.deployment(k)).episodes for k in (1, 2)]
+    assert len(ends) == sum(map(len, episodes)) and ends[-1] == len(commands) - 1
 
 
 def test_the_rate_is_held_and_misses_are_counted(
@@ -231,6 +236,8 @@ def test_whoever_stops_it_and_however_it_goes_on(
     assert [command for command in commands if command in executed] == executed
     assert len(commands) - len(executed) <= 1  # what was told and killed before it was logged
     assert len({step.episode_seeds.item() for step in steps}) == 4
+    with pytest.raises(TooFewError):  # an interruption is no short episode of a bad policy
+        read_measured(path)
     assert replay([str(path), "--verify"]) == 0
 
 
@@ -252,7 +259,7 @@ def test_a_learner_that_dies_costs_an_episode_and_nothing_else(
     assert "the episode is broken off, since 11 of " in run.output("host")
     steps = list(read_steps(run.folder.deployment(1)))
     closing = next(step.step for step in steps if not happened(step))
-    assert all(step.held[0] for step in steps[closing - 10 : closing])
+    assert steps[closing - 1].held[0]
     assert not any(steps[closing + 1].held) and len(steps) == 60
 
 
