@@ -1,5 +1,6 @@
 """Which transitions are accepted, given their scores: by share and by conformal p-values."""
 
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,26 @@ def test_the_best_share_and_the_newest_data_are_drawn_alike_and_nothing_else() -
     accepted = (scores < 200) | (np.arange(1000) >= EXTENT.newest)
     assert not counts[~accepted].any()
     assert stats.chisquare(counts[accepted]).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("acceptance", [share, conformal])
+def test_a_quantile_is_the_row_up_to_whose_weight_it_reaches(acceptance: ModuleType) -> None:
+    """To the row, also at the ends; whether it is looked up or searched for."""
+    random = np.random.default_rng(5)
+    scores = np.concatenate([random.random(950) * 2, random.random(50) - 10])  # held out: 0 to 1
+    given, section = Given(scores), CorrectionSection(share=0.3, level=0.2)
+    rows = torch.zeros(1000, 3)
+    held = held_by({}, Data(rows, rows[:, :0]), EXTENT, random)
+    sampler = acceptance.create(given, section, BATCH)
+    data = sampler.begin(held).data
+    assert ("accepted" in data.prepared) == (acceptance is share)
+    judged = given.scores(held, exclude_self=acceptance is conformal).values
+    weights = acceptance.weights(section, judged, EXTENT).double()
+    weights[EXTENT.newest :] = 1.0
+    sums = np.cumsum(weights.numpy())
+    quantiles = np.append(random.random(5000), [0.0, 1 - 2.0**-53])
+    found = sampler.gather({}, data, {"quantile": torch.from_numpy(quantiles)})["rows"]
+    assert np.array_equal(found, np.searchsorted(sums, quantiles * sums[-1], side="right"))
 
 
 def test_of_equal_scores_exactly_the_share_is_accepted() -> None:
