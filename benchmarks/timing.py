@@ -81,31 +81,27 @@ def tuning(learner: "Learner", online: Transitions) -> Turn:
 
     All of it: numbers drawn in bulk, gathers, sampling, update, metrics.
     """
+    whole = deployment(learner, online)
+    return lambda number: whole(number)[1]
+
+
+def deployment(learner: "Learner", online: Transitions) -> Callable[[int], tuple[float, float]]:
+    """Turns of `Learner.tune`: milliseconds of what it does before the updates of a deployment
+    (merging, fitting and scoring), and milliseconds an update as `tuning` has it.
+    """
     gpu = learner.description.engine.name == "cuda-graph"
     clock = time.perf_counter if gpu else time.process_time
 
-    def turn(number: int) -> float:
+    def turn(number: int) -> tuple[float, float]:
         marks: dict[int, float] = {}
 
         def report(progress: "Progress") -> None:
             marks[progress.update] = clock()
 
+        start = clock()
         learner.tune(number, online, report)
-        return (marks[max(marks)] - marks[0]) * 1e3 / UPDATES
-
-    return turn
-
-
-def preparing(learner: "Learner", online: Transitions) -> Turn:
-    """Turns of what `Learner.tune` does before the updates of a deployment: merging, fitting and
-    scoring, in milliseconds.
-    """
-
-    def turn(number: int) -> float:
-        marks: list[float] = []
-        start = time.process_time()
-        learner.tune(number, online, lambda progress: marks.append(time.process_time()))
-        return (marks[0] - start) * 1e3
+        updates = (marks[max(marks)] - marks[0]) * 1e3 / UPDATES
+        return (marks[0] - start) * 1e3, updates
 
     return turn
 

@@ -1,4 +1,4 @@
-"""What does one update cost, and what do OTC and Balanced Replay add to it?
+"""What does one update cost, and what do OTC by rank, the paper's, and Balanced Replay add to it?
 
     python benchmarks/update.py [--rounds 12] [--env hopper-3x1]
 
@@ -22,7 +22,6 @@ from timing import (
     Turn,
     describe,
     interleave,
-    preparing,
     random_data,
     repeated,
     say,
@@ -34,8 +33,7 @@ from otc_dist.envs import registry
 from otc_dist.learner.learner import Learner
 from otc_dist.terminal.errors import run_main
 
-EXACT, SHARE = "sampling.matching=exact", "sampling.acceptance=share"
-TUNING = 4000  # updates after a deployment, Table 3
+RANK, EXACT = "sampling.acceptance=rank", "sampling.matching=exact"
 COMPILED_TARGET, OTC_TARGET, GPU_SHARE_TARGET = 0.36, 0.6, 0.15
 
 
@@ -59,53 +57,25 @@ def variants(env_id: str, rounds: int) -> list[Variant]:
     plain = PlainBcq(section, spec.observation_size, spec.action_size, fused=True)
     peer = Training(plain, offline, section.batch_size)
     uniform, balanced = "sampling.name=uniform", "sampling.name=balanced"
-    embedding, value = "sampling.distance=embedding", "sampling.distance=value"
-    dynamics, typical = "sampling.distance=dynamics", "sampling.distance=typical"
+    embedding, value = ("sampling.distance=embedding", RANK), ("sampling.distance=value", RANK)
     rows = [
         Variant("plain eager BCQ", repeated(peer.update)),
         Variant("ours, eager", learner("eager", uniform)),
         Variant("ours, compiled", learner("compiled", uniform), target=COMPILED_TARGET),
-        Variant("  + OTC, d_e", learner("compiled", embedding), target=OTC_TARGET),
-        Variant("  + OTC, d_q", learner("compiled", value), target=OTC_TARGET),
-        Variant("  + OTC, d_e, all of D_k", learner("compiled", embedding, EXACT)),
-        Variant("  + OTC, d_q, all of D_k", learner("compiled", value, EXACT)),
-        Variant("  + OTC, d_f, best tenth", learner("compiled", dynamics, SHARE)),
-        Variant("  + OTC, typical, best tenth", learner("compiled", typical, SHARE)),
+        Variant("  + OTC, d_e", learner("compiled", *embedding), target=OTC_TARGET),
+        Variant("  + OTC, d_q", learner("compiled", *value), target=OTC_TARGET),
+        Variant("  + OTC, d_e, all of D_k", learner("compiled", *embedding, EXACT)),
+        Variant("  + OTC, d_q, all of D_k", learner("compiled", *value, EXACT)),
         Variant("  + Balanced Replay", learner("compiled", balanced)),
     ]
     if torch.cuda.is_available():
         rows += [
             Variant("ours, CUDA graph", learner("cuda-graph", uniform)),
-            Variant("  + OTC, d_e", learner("cuda-graph", embedding)),
-            Variant("  + OTC, d_q", learner("cuda-graph", value)),
+            Variant("  + OTC, d_e", learner("cuda-graph", *embedding)),
+            Variant("  + OTC, d_q", learner("cuda-graph", *value)),
             Variant("  + Balanced Replay", learner("cuda-graph", balanced)),
         ]
     return rows
-
-
-def preparations(env_id: str, rounds: int) -> list[Timed]:
-    """What a deployment costs before its updates: merging, fitting, scoring all of B_k."""
-    spec = registry.team_spec(env_id).agents[0]
-    offline, online = random_data(spec, OFFLINE[env_id], 0), random_data(spec, ONLINE, 1)
-
-    def learner(*sampling: str) -> Turn:
-        described = describe(env_id, rounds, "engine.name=compiled", *sampling)
-        brain = Learner(described.with_assignments("deployment.updates=1"), spec, offline)
-        brain.pretrain(lambda progress: None, lambda: None)
-        return preparing(brain, online)
-
-    return [
-        Timed(name, learner("sampling.name=otc", f"sampling.distance={name}", SHARE))
-        for name in ("typical", "dynamics", "value", "embedding", "change")
-    ]
-
-
-def preparation_table(rows: list[Timed], update: float) -> str:
-    """`update`: milliseconds of one uniform update."""
-    lines = [f"{'before the updates':<28}{'ms':>8}{'of tuning':>12}  (L = {TUNING:,})"]
-    for row in rows:
-        lines.append(f"{row.name:<28}{row.median:8.0f}{row.median / (TUNING * update):>12.0%}")
-    return "\n".join(lines)
 
 
 def table(rows: list[Variant]) -> str:
@@ -147,10 +117,6 @@ def main(argv: list[str]) -> int:
     where = torch.cuda.get_device_name() if gpu else "no CUDA device here, so no CUDA graph rows"
     print(f"{arguments.env}, torch {torch.__version__}, one thread; {where}")
     print(table(rows))
-    prepared = preparations(arguments.env, arguments.rounds)
-    interleave(prepared, arguments.rounds)
-    uniform = next(row for row in rows if row.name == "ours, compiled")
-    print(preparation_table(prepared, uniform.median))
     return 0
 
 
