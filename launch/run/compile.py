@@ -36,7 +36,9 @@ def main(argv: list[str]) -> int:
     beside("compiling the updates (about a minute; seconds if done before) ...")
     start = time.monotonic()
     compile_updates(description, argv[1:])
-    beside(f"compiled in {time.monotonic() - start:.0f} s")
+    done = f"compiled in {time.monotonic() - start:.0f} s"
+    beside(done)
+    print(done)  # kept in the run's folder
     return 0
 
 
