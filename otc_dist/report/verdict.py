@@ -118,6 +118,8 @@ def _more(run: RunData, changes: Sequence[Change], policy: int) -> list[str]:
 def _before_tuning(run: RunData) -> Verdict:
     offline = kept.greedy_return(run, 0)
     if offline is None:
+        offline = next((one.mean for one in kept.estimates(run) if one.policy == 0), None)
+    if offline is None:
         return Verdict("open", "Nothing has been measured yet.")
     when = "was tuned" if run.complete else "has been tuned yet"
     nothing = f"Nothing {when}: the offline policy returns {_plain(offline)}."

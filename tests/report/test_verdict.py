@@ -141,6 +141,10 @@ def test_without_evaluations_the_deployments_tell(made: MadeRun) -> None:
     made.folder.deployment(2).unlink()
     made.deploy(2, [40.0, 42.0])
     assert result(made)[1].startswith("Tuning helped: the recommended policy, pi_1, returns 41.0")
+    for k in (1, 2, 3):
+        made.folder.deployment(k).unlink()
+    made.deploy(1, [30.0, 32.0])
+    assert result(made)[1] == "Nothing has been tuned yet: the offline policy returns 31.0."
 
 
 def test_a_change_is_not_called_improvement(made: MadeRun) -> None:
