@@ -63,12 +63,16 @@ def submit(jobs: Sequence[Job], wanted: Sequence[str]) -> int:
     return MISTAKE if made.refused else 0
 
 
-def keep_out(jobs: Sequence[Job], folder: Path) -> None:
+def keep_out(jobs: Sequence[Job], folders: Sequence[Path]) -> None:
     """See that no job that is to be done here is in the queue. Raises UserError if one is.
 
     Where no SLURM answers soon there is nothing to see; two that make the same waste time only.
     """
-    left = [job.product for job in jobs if not job.done and job.product.is_relative_to(folder)]
+    left = [
+        job.product
+        for job in jobs
+        if not job.done and any(map(job.product.is_relative_to, folders))
+    ]
     if not left:
         return
     try:

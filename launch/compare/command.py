@@ -1,29 +1,25 @@
 """`launch compare NAME`: tune several arms from the same offline policies, and compare them."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from otc_dist.comparison import arms as arms_of
-from otc_dist.comparison import collected, meanings, report, tables
-from otc_dist.comparison.arms import Arms
+from otc_dist.comparison import collected, meanings, tables
+from otc_dist.comparison.collected import Collected
 from otc_dist.comparison.picture import picture
 from otc_dist.comparison.score_statistics import summarise
-from otc_dist.comparison.scores import ComparisonFolder, Run
-from otc_dist.description import Description
-from otc_dist.envs import registry
+from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import say
 
 from ..plan import descriptions
-from ..run.resolve import resolve
-from ..supervise.jobs import Job
-from . import cluster, job_graph
+from . import cluster, comparison
+from .comparison import EPISODES, Comparison
 
 SEEDS = "0..9"
 _SHOWN = ("tables", "picture")  # what goes together
-EPISODES = 30  # greedy episodes that a comparison needs at least
 
 _EXPLANATION = """\
 Trains the offline policies of every seed once, tunes every arm from them with common random
@@ -52,26 +48,21 @@ def main(argv: list[str]) -> int:
     seeds = arms_of.parse_seeds(SEEDS if arguments.seeds is None else arguments.seeds)
     quick: bool = arguments.quick
     loaded = descriptions.load(arguments.description, arguments.set, None, quick)
-    names = arms_of.usual(loaded) if arguments.arms is None else arguments.arms
-    arms = arms_of.parse_arms(names, arguments.arm)
-    base = resolve(loaded)
-    _check(base, arms, quick)
+    base, arms = comparison.prepare(loaded, arguments.arms, arguments.arm, quick)
     name = f"compare-{base.name}{'-quick' if quick else ''}"
     folder = ComparisonFolder((arguments.out or Path("runs") / name).resolve())
     queue = cluster.options(arguments)
+    one = Comparison(folder, base, arms, seeds, quick, arguments.results)
     if arguments.status:
-        cluster.show(job_graph.comparison(folder, base, arms, seeds))
+        cluster.show(comparison.jobs_of([one]))
         return 0
-    with job_graph.opened(folder, base):
-        return _compare(folder, base, arms, seeds, quick, arguments.results, queue)
+    return comparison.carry_out(folder.root, [one], queue)
 
 
 def _show(arguments: argparse.Namespace) -> int:
     """Print the tables of a folder of raw scores."""
     found = collected.collect(arguments.tables)
-    label = f" ({descriptions.QUICK_LABEL})" if found.episodes < EPISODES else ""
-    say(f"{found.name}, {found.dataset}{label}; on {tables.processors(found.runs)}")
-    say(*tables.text(summarise(found.runs, found.normalise)))
+    say(*lines(found))
     if arguments.picture is not None:
         seeds = max(len(of_arm) for of_arm in found.runs.values())
         over = "1 seed" if seeds == 1 else f"mean ± standard error of {seeds} seeds"
@@ -83,84 +74,11 @@ def _show(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _check(base: Description, arms: Arms, quick: bool) -> None:
-    if base.evaluation.episodes < EPISODES and not quick:
-        raise UserError(
-            f"a comparison needs evaluation.episodes >= {EPISODES}, not"
-            f" {base.evaluation.episodes}: returns are too noisy (--quick allows fewer, as a look)"
-        )
-    if not base.deployment.count:
-        raise UserError("a comparison needs deployment.count >= 1: otherwise nothing is tuned")
-    arms_of.check(base, arms)
-
-
-def _compare(
-    folder: ComparisonFolder,
-    base: Description,
-    arms: Arms,
-    seeds: Sequence[int],
-    quick: bool,
-    results: Path | None,
-    queue: tuple[str, ...] | None,
-) -> int:
-    """Do the jobs: on this machine, or, where `queue` has options for it, in SLURM's queue."""
-    if results is not None:  # a mistake shows before anything runs
-        collected.keep(folder, (), (), results)
-    if taken := job_graph.take_offline(folder, base, arms, seeds):
-        say(f"{taken} offline policies are those that an earlier comparison trained")
-    jobs = job_graph.comparison(folder, base, arms, seeds)
-    left = sum(not job.done for job in jobs)
-    say(f"{folder.root}: {len(jobs)} jobs, {left} of them to do")
-    if queue is not None:
-        status = cluster.submit(jobs, queue) if left else 0
-        _conclude(folder, base, arms, seeds, quick, results)
-        return status
-    complete = len(_complete(folder, arms, seeds))
-
-    def finished(job: Job) -> None:
-        """Show the result so far whenever one more seed is complete for all arms."""
-        nonlocal complete
-        if job is jobs[0]:  # the data have been made
-            job_graph.note_inputs(folder, base)
-        if len(_complete(folder, arms, seeds)) > complete:
-            complete += 1
-            _conclude(folder, base, arms, seeds, quick, results)
-
-    status = job_graph.do(jobs, folder, base, finished)
-    if not left or status:  # else it was shown when the last job finished
-        _conclude(folder, base, arms, seeds, quick, results)
-    return status
-
-
-def _complete(folder: ComparisonFolder, arms: Arms, seeds: Sequence[int]) -> list[int]:
-    """The seeds for which every arm has its run."""
-    return [seed for seed in seeds if all(folder.run(seed, arm).exists() for arm in arms)]
-
-
-def _conclude(
-    folder: ComparisonFolder,
-    base: Description,
-    arms: Arms,
-    seeds: Sequence[int],
-    quick: bool,
-    results: Path | None,
-) -> None:
-    """Print and write what the complete seeds show, and copy their raw scores to `results`."""
-    complete = _complete(folder, arms, seeds)
-    if not complete:
-        print(f"no seed is complete for all of {', '.join(arms)} yet")
-        return
-    if results is not None:
-        collected.keep(folder, arms, complete, results)
-    runs = {arm: [Run.read(folder.run(seed, arm)) for seed in complete] for arm in arms}
-    summary = summarise(runs, lambda value: registry.normalised_score(base.env.id, value))
-    label = descriptions.QUICK_LABEL if quick else ""
-    report.write(folder, base, arms, summary, runs, label)
-    of_all = "" if len(complete) == len(seeds) else f" of {len(seeds)}: so far"
-    count = f"{len(complete)} complete {'seed' if len(complete) == 1 else 'seeds'}"
-    print(f"\n{count}{of_all}{f' ({label})' if label else ''}")
-    say(*tables.text(summary))
-    print(f"report: {folder.report}\n", flush=True)
+def lines(found: Collected) -> Iterator[str]:
+    """What raw scores are of, and all their tables."""
+    label = f" ({descriptions.QUICK_LABEL})" if found.episodes < EPISODES else ""
+    yield f"{found.name}, {found.dataset}{label}; on {tables.processors(found.runs)}"
+    yield from tables.text(summarise(found.runs, found.normalise))
 
 
 def command_line() -> Parser:

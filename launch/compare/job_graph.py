@@ -64,24 +64,29 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
 
 def do(
     jobs: Sequence[Job],
-    folder: ComparisonFolder,
-    base: Description,
+    folders: Sequence[ComparisonFolder],
+    patience: float,
     finished: Callable[[Job], None],
 ) -> int:
     """Do the jobs on this machine's cores, or say why not. Returns the exit status.
 
-    Where one fails by a mistake, and none was done before, the folder is taken away again.
+    Where one fails by a mistake, the folders in which none was done are taken away again.
+
+    Args:
+        folders: of the comparisons whose jobs these are.
+        patience: seconds that a job may stand still.
 
     Raises:
         UserError: some of them are in a cluster's queue.
     """
-    cluster.keep_out(jobs, folder.root)
+    cluster.keep_out(jobs, [folder.root for folder in folders])
     try:
-        run_jobs(jobs, cores(), finished, base.bus.answer_deadline)
+        run_jobs(jobs, cores(), finished, patience)
     except FailedError as failed:
         print(f"error: {failed}", file=sys.stderr)
         if failed.status == MISTAKE:
-            take_away(folder.root)
+            for folder in folders:
+                take_away(folder.root)
         return failed.status
     except StoppedError as stopped:
         print(f"stopped by {stopped}; the same command continues")
@@ -130,15 +135,20 @@ def _flat(description: Description) -> dict[str, object]:
 def _data(folder: ComparisonFolder, base: Description) -> Job:
     """The data set."""
     dataset = base.dataset
-    last = registry.team_spec(base.env.id).names[-1]
     make = (*MODULE, "otc_dist.datasets", "make", dataset.name)
     return Job(
         "data",
         (*make, "--transitions", str(dataset.transitions)),
-        store.agent_file(dataset.name, last, dataset.transitions),
+        data_file(base),
         folder.root / "output" / "data.log",
         seconds=120,
     )
+
+
+def data_file(base: Description) -> Path:
+    """The last file of the data set: it is there when all are."""
+    last = registry.team_spec(base.env.id).names[-1]
+    return store.agent_file(base.dataset.name, last, base.dataset.transitions)
 
 
 def _mark(base: Description) -> Path:

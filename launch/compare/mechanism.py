@@ -66,7 +66,8 @@ def main(argv: list[str]) -> int:
     with nullcontext() if trained else job_graph.opened(folder, base):
         if queue is not None and not all(job.done for job in jobs):
             return cluster.submit(jobs, queue)
-        if status := job_graph.do(jobs, folder, base, lambda job: None):
+        patience = base.bus.answer_deadline
+        if status := job_graph.do(jobs, [folder], patience, lambda job: None):
             return status
     if quick:
         print(descriptions.QUICK_LABEL)
