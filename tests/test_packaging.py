@@ -75,6 +75,7 @@ def test_the_wheel_installs_nothing_but_otc_dist(wheel: Path) -> None:
     for needed in (
         "py.typed",
         "launch/3agent_hopper.toml",
+        "launch/campaigns/paper-table1.toml",
         "envs/models/hopper.xml",
         layout,
         *viewer,

@@ -1,6 +1,6 @@
 """Where descriptions come from: shipped by name, or a TOML file; and the `--quick` short form."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from otc_dist.description import Description
@@ -36,12 +36,16 @@ def find(name: str) -> Path:
     Raises:
         UserError: no shipped description has this name (the nearest is suggested).
     """
+    return find_file(name, "description", shipped())
+
+
+def find_file(name: str, kind: str, shipped: Mapping[str, Path]) -> Path:
+    """As `find`, of any kind of TOML file that comes with the package."""
     if name.endswith(".toml") or "/" in name:
         return Path(name)
-    known = shipped()
-    if name not in known:
-        raise unknown("description", name, known)
-    return known[name]
+    if name not in shipped:
+        raise unknown(kind, name, shipped)
+    return shipped[name]
 
 
 def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -> Description:

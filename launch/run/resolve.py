@@ -4,6 +4,7 @@ import math
 import subprocess
 import sys
 import time
+from functools import cache
 
 from otc_dist.datasets.names import DatasetName
 from otc_dist.description import Description
@@ -95,9 +96,19 @@ def _engine(description: Description) -> EngineSection:
     asked_for = description.engine
     if asked_for.name == "eager":  # runs everywhere
         return EngineSection(name="eager", products="torch")
-    arguments = (asked_for.model_dump_json(), str(total_updates(description)))
+    asked = asked_for.model_dump_json()
+    return _chosen(asked, total_updates(description), description.bus.answer_deadline)
+
+
+@cache  # a campaign's parts are alike
+def _chosen(asked_for: str, updates: int, patience: float) -> EngineSection:
+    """What this machine chooses for an engine section, as JSON, and that many updates.
+
+    Raises:
+        UserError: it cannot run that, or does not answer.
+    """
     with subprocess.Popen(
-        [sys.executable, "-c", _ASK_ENGINE, *arguments],
+        [sys.executable, "-c", _ASK_ENGINE, asked_for, str(updates)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -106,7 +117,7 @@ def _engine(description: Description) -> EngineSection:
         preexec_fn=die_with_parent(),
     ) as asked:
         try:
-            chosen, errors = _heard(asked, description.bus.answer_deadline)
+            chosen, errors = _heard(asked, patience)
         finally:
             asked.kill()
     if asked.returncode != 0:

@@ -77,6 +77,11 @@ def collect(root: Path) -> Collected:
     return Collected(name, env_id, dataset, runs)
 
 
+def has_scores(root: Path) -> bool:
+    """Whether a folder of either kind holds a run of the reference: without it, no table."""
+    return any(next(root.glob(f"{at}seed_*/{REFERENCE}.json"), None) for at in ("", "seeds/"))
+
+
 def keep(folder: ComparisonFolder, arms: Iterable[str], seeds: Iterable[int], root: Path) -> None:
     """Copy the description and the raw scores of complete seeds to a folder that is kept.
 

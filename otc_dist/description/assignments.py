@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Mapping
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
@@ -50,7 +51,7 @@ def explain(
         known = re.findall(r"'([^']*)'", problem.get("ctx", {}).get("expected", ""))
         return UserError(f"{source}: {unknown(where, str(problem['input']), known)}")
     if problem["type"] == "missing":
-        return UserError(f"{source}: {where} is missing; every description needs it")
+        return UserError(f"{source}: {where} is missing: it has no default")
     if problem["type"] in ("model_type", "model_attributes_type"):
         return UserError(f"{source}: {where} is a section: write {where}.KEY")
     if problem["type"] == "tuple_type":
@@ -67,10 +68,14 @@ def _fields(root: type[BaseModel], sections: list[str], data: Mapping[str, objec
         return ALGORITHMS.keys(data[sections[0]])
     if sections == ["sampling"]:
         return STRATEGIES.keys(data[sections[0]])
-    model = root
+    model: Any = root
     for section in sections:
-        annotation = model.model_fields[section].annotation
-        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-            return []
-        model = annotation
-    return list(model.model_fields)
+        if get_origin(model) is dict:  # sections by names of the user's
+            model = get_args(model)[1]
+        elif _is_section(model):
+            model = model.model_fields[section].annotation
+    return list(model.model_fields) if _is_section(model) else []
+
+
+def _is_section(kind: object) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)

@@ -36,6 +36,9 @@ COMMANDS = {
         "compare.command",
         "compare",
     ),
+    "campaign": Command.launch(
+        "do many comparisons that one file lists, seed by seed", "compare.campaign", "campaign"
+    ),
     "mechanism": Command.launch(
         "measure what the transitions that a distance selects have in common",
         "compare.mechanism",

@@ -166,8 +166,8 @@ def test_any_batch_size_without_otc() -> None:
 FILES = {
     b"name = ": "is not valid TOML",
     b"\xff\xfe": "is not valid TOML",
-    b'name = "x"\n[dataset]\nname = "y"\n': "env is missing; every description needs it",
-    b"[env]\n[dataset]\n": "name is missing; every description needs it",
+    b'name = "x"\n[dataset]\nname = "y"\n': "env is missing: it has no default",
+    b"[env]\n[dataset]\n": "name is missing: it has no default",
     MINIMAL.encode() + b"[evn]\n": "unknown key 'evn'; did you mean 'env'?",
 }
 

@@ -1,0 +1,167 @@
+"""`launch campaign NAME`: the comparisons that a file lists, together and seed by seed."""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from otc_dist.comparison import arms as arms_of
+from otc_dist.comparison import collected
+from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.terminal.amounts import duration
+from otc_dist.terminal.errors import UserError
+from otc_dist.terminal.parser import Parser
+from otc_dist.terminal.printable import aligned, say
+
+from ..plan import descriptions
+from ..supervise import job_order
+from ..supervise.jobs import Job, cores
+from . import campaign_file, cluster, comparison
+from .campaign_file import Campaign
+from .command import lines
+from .comparison import Comparison
+
+CLUSTER = 64  # cores for which the forecast says the time as well
+
+_EXPLANATION = """\
+Does every comparison that a TOML file lists, as `compare` does one: the first seed of all, then the
+second, so that whatever time allows are complete seeds of all. The same command continues where it
+was stopped, and takes more seeds later. Each comparison has its folder in OUT, named after its
+description, its data and its part of the file, with raw scores and a page of tables.
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Do a campaign, or say what it would cost, or what it has found. Returns the exit status.
+
+    Raises:
+        UserError: anything the user can fix: one line, status 2.
+    """
+    parser = command_line()
+    arguments = parser.parse_args(argv)
+    given = parser.given(arguments)
+    if arguments.tables is not None:
+        if idle := [flag for name, flag in given.items() if name != "tables"]:
+            raise UserError(f"--tables shows what is in its folder: leave out {idle[0]}")
+        return _show(arguments.tables)
+    if arguments.campaign is None:
+        shipped = ", ".join(campaign_file.shipped())
+        raise UserError(
+            f"which campaign? A TOML file, or one that comes with the package: {shipped}"
+        )
+    if arguments.dry_run and (idle := [given[name] for name in ("on", "results") if name in given]):
+        raise UserError(f"--dry-run does nothing: leave out {idle[0]}")
+    queue = cluster.options(arguments)
+    path = campaign_file.find(arguments.campaign)
+    campaign = Campaign.load(path)
+    quick: bool = arguments.quick
+    name = f"campaign-{path.stem}{'-quick' if quick else ''}"
+    root = (arguments.out or Path("runs") / name).resolve()
+    results: Path | None = arguments.results
+    asked = None if arguments.seeds is None else arms_of.parse_seeds(arguments.seeds)
+    try:
+        seeds = arms_of.parse_seeds(campaign.seeds) if asked is None else asked
+        comparisons = [
+            Comparison(
+                ComparisonFolder(root / one.name),
+                one.base,
+                one.arms,
+                seeds,
+                quick,
+                results and results / one.name,
+                one.name,
+            )
+            for one in campaign.comparisons(quick)
+        ]
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+    if arguments.dry_run:
+        say(*_forecast(comparisons, seeds))
+        return 0
+    if arguments.status:
+        cluster.show(comparison.jobs_of(comparisons))
+        return 0
+    return comparison.carry_out(root, comparisons, queue)
+
+
+def _forecast(comparisons: Sequence[Comparison], seeds: Sequence[int]) -> Iterator[str]:
+    """What is to be done, and how long it takes at the rates of a run's forecast."""
+    yield f"seeds {', '.join(map(str, seeds))}: each of all comparisons before the next"
+    jobs = comparison.jobs_of(comparisons)
+    rows = [("comparison", "jobs", "to do", "core hours", "arms")]
+    for one in comparisons:
+        own = [job for job in jobs if job.output.is_relative_to(one.folder.root)]
+        rows.append((one.name, *_amounts(own), ", ".join(one.arms)))
+    rows.append(("in all", *_amounts(jobs), ""))
+    *numbers, arms = zip(*rows, strict=True)
+    left = max(map(len, arms))
+    table = aligned(zip(*numbers, (one.ljust(left) for one in arms), strict=True), str.rjust)
+    yield from (line.rstrip() for line in table)
+    todo = [job for job in jobs if not job.done]
+    longest = max(job_order.chains(todo).values(), default=0.0)
+    total = sum(job.seconds for job in todo)
+    for count, where in ((cores(), "this machine"), (CLUSTER, "a cluster")):
+        yield f"about {duration(max(total / count, longest))} on {where}, {count} cores"
+
+
+def _amounts(jobs: Sequence[Job]) -> tuple[str, str, str]:
+    """How many jobs, how many of them are left, and the hours of one core that these take."""
+    todo = [job for job in jobs if not job.done]
+    hours = sum(job.seconds for job in todo) / 3600
+    return f"{len(jobs):,}", f"{len(todo):,}", f"{hours:,.1f}"
+
+
+def _show(root: Path) -> int:
+    """Print the tables of every comparison in a folder."""
+    parts = sorted(path.parent for path in root.glob("*/description.toml"))
+    if not parts:
+        raise UserError(f"{root} is not the folder of a campaign: none in it is a comparison's")
+    for part in parts:
+        if collected.has_scores(part):
+            say(f"{part.name}:", *lines(collected.collect(part)), "")
+        else:
+            say(f"{part.name}: no seed is complete yet", "")
+    return 0
+
+
+def command_line() -> Parser:
+    """The parser of the command's arguments."""
+    shipped = campaign_file.shipped().items()
+    rows = [(f"  {name}", Campaign.load(path).summary) for name, path in shipped]
+    parser = Parser(
+        prog="python -m otc_dist.launch campaign",
+        description=_EXPLANATION,
+        epilog="\n".join(
+            [
+                "a campaign's file, whose keys are named after the flags of `compare`:",
+                campaign_file.FORM,
+                "campaigns that come with the package:",
+                *aligned(rows),
+            ]
+        ),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("campaign", nargs="?", help="a shipped campaign's name, or a TOML file")
+    parser.add_argument("--seeds", help="0..9 or 0,1,5 (default: those in the file)")
+    parser.add_argument("--out", type=Path, help="folder (default: runs/campaign-NAME)")
+    parser.add_argument(
+        "--results",
+        type=Path,
+        metavar="FOLDER",
+        help="copy the raw scores of every seed that is complete to a folder in there, to be kept",
+    )
+    parser.add_argument(
+        "--tables",
+        type=Path,
+        metavar="FOLDER",
+        help="run nothing: print all tables of the raw scores in a campaign's folder, or in one"
+        " that --results made",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="run nothing: print the comparisons, how many jobs are to be done, and the hours",
+    )
+    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
+    cluster.add_flags(parser)
+    return parser

@@ -1,0 +1,115 @@
+"""A campaign's file: which descriptions, data sets, arms and seeds are compared."""
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, ValidationError
+
+from otc_dist.comparison.arms import Arms
+from otc_dist.description import Description
+from otc_dist.description.assignments import explain
+from otc_dist.description.section import Section
+from otc_dist.names import Name
+from otc_dist.terminal.errors import UserError
+
+from ..plan import descriptions
+from .comparison import prepare
+
+FORM = """\
+  seeds = "20..24"
+  [parts.bcq]
+  descriptions = ["2agent_walker2d", "3agent_hopper"]  # names, or TOML files
+  datasets = ["random", "medium"]                      # without them, each description's own
+  set = ["algorithm.name=bcq", "offline.updates=100000"]
+  arms = ["paper-value", "uniform"]                    # without them, compare's usual ones
+  arm = ["mild=sampling.name=otc,sampling.alpha=0.5"]  # more, of your own
+"""
+
+
+class Part(Section):
+    """Comparisons that differ in the task and the data alone: every description on every data set.
+
+    Its settings are called as the flags of `compare` are.
+    """
+
+    descriptions: Annotated[tuple[str, ...], Field(min_length=1)]
+    datasets: tuple[str, ...] = ()
+    set: tuple[str, ...] = ()
+    arms: tuple[str, ...] = ()
+    arm: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """One comparison of a campaign, ready to be done: what `prepare` gives, and its name."""
+
+    name: str
+    base: Description
+    arms: Arms
+
+
+class Campaign(Section):
+    """What the file says."""
+
+    seeds: str
+    parts: Annotated[dict[Name, Part], Field(min_length=1)]
+    summary: str = ""
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a file. Raises UserError for one that is none."""
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+            return cls.model_validate(data)
+        except OSError as error:
+            raise UserError(f"cannot read the campaign {path}: {error.strerror}") from None
+        except ValidationError as error:  # a ValueError as well, so before these
+            raise explain(cls, error.errors()[0], str(path), data) from None
+        except (ValueError, RecursionError) as error:
+            raise UserError(f"{path} is not valid TOML: {error}") from None
+
+    def comparisons(self, quick: bool) -> Iterator[Prepared]:
+        """All of them, each called by its description, the level of its data and its part.
+
+        Raises:
+            UserError: one cannot be made as the file says, or has another's name.
+        """
+        names = set()
+        for key, part in self.parts.items():
+            try:
+                for one in _of(key, part, quick):
+                    if one.name in names:
+                        raise UserError(f"{one.name} is there twice")
+                    names.add(one.name)
+                    yield one
+            except UserError as error:
+                raise UserError(f"parts.{key}: {error}") from None
+
+
+def _of(key: str, part: Part, quick: bool) -> Iterator[Prepared]:
+    """The comparisons of a part. Raises UserError."""
+    for description in part.descriptions:
+        for dataset in part.datasets or (None,):
+            data = () if dataset is None else (f"dataset.name={dataset}",)
+            loaded = descriptions.load(description, [*data, *part.set], None, quick)
+            base, arms = prepare(loaded, ",".join(part.arms) or None, part.arm, quick)
+            level = base.dataset.name.rpartition("/")[2]
+            yield Prepared(f"{base.name}-{level}-{key}", base, arms)
+
+
+def shipped() -> dict[str, Path]:
+    """Every campaign that comes with the package: name -> TOML file."""
+    folder = Path(__file__).parents[1] / "campaigns"
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def find(name: str) -> Path:
+    """The TOML file that `name`, a shipped campaign's name or a path, stands for.
+
+    Raises:
+        UserError: no shipped campaign has this name (the nearest is suggested).
+    """
+    return descriptions.find_file(name, "campaign", shipped())

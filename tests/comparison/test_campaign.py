@@ -1,0 +1,190 @@
+"""Several comparisons that one file lists: their jobs, their results, and mistakes."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.launch.__main__ import main
+from otc_dist.launch.compare import campaign_file, comparison
+from otc_dist.launch.compare.campaign_file import Campaign
+from otc_dist.launch.compare.comparison import Comparison
+from otc_dist.terminal.errors import UserError
+
+PARTS = ("3agent_hopper-medium-replay-one", "3agent_hopper-medium-replay-two")
+_OF_ITS_OWN = ("seconds", "versions")  # what two makings of the same run may differ in
+
+
+@pytest.fixture
+def file(tmp_path: Path, tiny_flags: tuple[str, ...]) -> Path:
+    """A campaign of two comparisons that are those of the fixture `finished`."""
+    path = tmp_path / "twice.toml"
+    part = f'descriptions = ["3agent_hopper"]\nset = {json.dumps(tiny_flags[1::2])}\n'
+    part += 'arms = ["otc-embedding"]\n'
+    path.write_text(f'seeds = "0..1"\n[parts.one]\n{part}[parts.two]\n{part}')
+    return path
+
+
+@pytest.fixture
+def out(tmp_path: Path, finished: ComparisonFolder) -> Path:
+    """Its folder, in which one run of each part is still to be done."""
+    for seed, part in enumerate(PARTS):
+        shutil.copytree(finished.root, tmp_path / "out" / part)
+        ComparisonFolder(tmp_path / "out" / part).run(seed, "uniform-null").unlink()
+    return tmp_path / "out"
+
+
+def launch(*words: str | Path) -> int:
+    return main(["campaign", *map(str, words)])
+
+
+@pytest.mark.slow
+def test_a_campaign_is_gone_on_with_and_each_part_s_scores_are_those_of_its_comparison(
+    file: Path, out: Path, finished: ComparisonFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = out.parent / "kept"
+    command = (file, "--quick", "--out", out, "--results", kept)
+    assert launch(*command) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(f"{out}: 29 jobs, 2 of them to do\n")
+    assert said.count(": done in ") == 2
+    assert f"{PARTS[0]}: 2 complete seeds (a quick look, not a result); report: {out}" in said
+    for seed, part in enumerate(PARTS):
+        mine = ComparisonFolder(out / part)
+        assert mine.report.exists()
+        again, before = (
+            json.loads(folder.run(seed, "uniform-null").read_text()) for folder in (mine, finished)
+        )
+        assert again | dict.fromkeys(_OF_ITS_OWN) == before | dict.fromkeys(_OF_ITS_OWN)
+        assert len(list((kept / part).glob("seed_0[01]/*.json"))) == 2 * 4
+    assert launch(*command) == 0
+    assert ", 0 of them to do\n" in (said := capsys.readouterr().out)
+    assert all(f"{part}: 2 complete seeds" in said for part in PARTS)
+
+
+def test_tables_are_those_of_every_comparison_and_need_the_raw_scores_only(
+    out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ComparisonFolder(out / PARTS[1]).run(0, "uniform").unlink()
+    ComparisonFolder(out / PARTS[1]).run(1, "uniform").unlink()
+    assert main(["compare", "--tables", str(out / PARTS[0])]) == 0
+    tables = capsys.readouterr().out
+    assert launch("--tables", out) == 0
+    expected = f"{PARTS[0]}:\n{tables}\n{PARTS[1]}: no seed is complete yet\n\n"
+    assert capsys.readouterr().out == expected
+    with pytest.raises(UserError, match="not the folder of a campaign"):
+        launch("--tables", out / PARTS[0])
+
+
+def test_seeds_come_before_parts_and_what_parts_share_is_made_once(
+    file: Path, tmp_path: Path
+) -> None:
+    comparisons = [
+        Comparison(
+            ComparisonFolder(tmp_path / one.name), one.base, one.arms, (0, 1), True, None, one.name
+        )
+        for one in Campaign.load(file).comparisons(quick=True)
+    ]
+    jobs = comparison.jobs_of(comparisons)
+    assert len(jobs) == len({job.product for job in jobs}) == len({job.name for job in jobs})
+    assert len(jobs) == 1 + 2 * 2 * 7  # the data, and a seed's jobs
+    seeds = [job.name.split(", ")[1] for job in jobs[1:]]
+    assert seeds == sorted(seeds) and {job.name.split(", ")[0] for job in jobs[:15]} == {*PARTS}
+
+
+def test_a_dry_run_says_what_is_left_and_for_how_long(
+    file: Path, out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(out.rglob("*"))
+    assert launch(file, "--quick", "--out", out, "--seeds", "0..2", "--dry-run") == 0
+    seeds, _, one, two, whole, *hours = capsys.readouterr().out.splitlines()
+    assert seeds.startswith("seeds 0, 1, 2:")
+    # The data were made before, and lie in none of the folders.
+    assert [line.split()[:3] for line in (one, two)] == [
+        [PARTS[0], "22", "8"],
+        [PARTS[1], "21", "8"],
+    ]
+    assert whole.split()[:4] == ["in", "all", "43", "16"]
+    assert all(
+        re.fullmatch(r"about .* (s|min) on (this machine|a cluster), \d+ cores?", x) for x in hours
+    )
+    assert sorted(out.rglob("*")) == before
+
+
+def test_on_a_cluster_the_jobs_of_all_parts_go_into_the_queue(
+    file: Path, out: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (bin_ := out.parent / "bin").mkdir()
+    for name, does in {"squeue": "", "sbatch": f"echo \"$*\" >>'{bin_}/asked'; echo 7"}.items():
+        (bin_ / name).write_text(f"#!/bin/sh\n{does}\n")
+        (bin_ / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(bin_))
+    assert launch(file, "--quick", "--out", out, "--on", "slurm", "--slurm", "time=9") == 0
+    said = capsys.readouterr().out
+    assert "2 jobs submitted" in said
+    assert all(f"{part}: 1 complete seed of 2: so far" in said for part in PARTS)
+    asked = (bin_ / "asked").read_text().splitlines()
+    for seed, (part, line) in enumerate(zip(PARTS, asked, strict=True)):
+        assert f"--job-name={part}, seed {seed}, arm uniform-null" in line and "--time=9" in line
+
+
+def test_the_paper_s_first_table() -> None:
+    campaign = Campaign.load(campaign_file.find("paper-table1"))
+    found = {one.name: one for one in campaign.comparisons(quick=True)}
+    assert campaign.seeds == "20..24" and len(found) == 3 * 3 * 3
+    for robot in ("2agent_halfcheetah", "2agent_walker2d", "3agent_hopper"):
+        for level in ("random", "medium", "medium-replay"):
+            for key, algorithm in {"bcq": "bcq", "awac": "awac", "default": "td3bc"}.items():
+                one = found[f"{robot}-{level}-{key}"]
+                assert one.base.dataset.name == f"{one.base.env.id}/{level}"
+                assert one.base.algorithm.name == algorithm
+                papers = () if key == "default" else ("paper-embedding", "paper-value")
+                assert tuple(one.arms) == (*papers, "uniform", "uniform-null")
+
+
+@pytest.mark.parametrize(
+    ("change", "flags", "expected"),
+    [
+        (None, ("paper-tabel1",), "unknown campaign 'paper-tabel1'; did you mean 'paper-table1'"),
+        (None, ("gone.toml",), "cannot read the campaign gone.toml: No such file"),
+        (None, (), r"which campaign\? .* comes with the package: paper-table1"),
+        (None, ("--tables", "a", "--seeds", "0"), "leave out --seeds"),
+        (None, ("a", "--dry-run", "--results", "b"), "leave out --results"),
+        (None, ("a", "--status"), "--status needs --on slurm"),
+        ('seeds = "', (), r"twice\.toml is not valid TOML"),
+        ("[parts.one]", (), r"twice\.toml is not valid TOML: .*declare"),
+        ("sedes = 1", (), r"twice\.toml: unknown key 'sedes'; did you mean 'seeds'"),
+        ("[parts.x]\ndescriptions = []", (), r"twice\.toml: parts\.x\.descriptions: "),
+        ("[parts.x]", (), r"parts\.x\.descriptions is missing: it has no default"),
+        ("arm = 'mine'", (), r"parts\.two\.arm must be a list in brackets, not 'mine'"),
+        ("datsets = []", (), r"unknown key 'parts\.two\.datsets'; did you mean .*datasets"),
+        ("datasets = ['medum']", (), r"twice\.toml: parts\.two: .*hopper-3x1/medum"),
+        ("[parts.x]\ndescriptions = ['3agent_hoper']", (), r"parts\.x: .* mean '3agent_hopper'"),
+        ("arm = ['x=sampling.nam=otc']", (), r"parts\.two: arm x: .* mean 'sampling\.name'"),
+        ("datasets = ['medium', 'medium']", (), r"two: 3agent_hopper-medium-two is there twice"),
+        ("", ("--seeds", "0-9"), r"^--seeds '0-9': write 0\.\.9"),
+        ("seeds = '0-9'", (), r"twice\.toml: --seeds '0-9': write 0\.\.9"),
+    ],
+)
+def test_a_mistake_is_one_clear_line(
+    file: Path, change: str | None, flags: tuple[str, ...], expected: str, tmp_path: Path
+) -> None:
+    """`change`: what is added to the file; None: the flags name the campaign, or none."""
+    if change is not None:
+        seeds, _, parts = file.read_text().partition("\n")
+        if change.startswith("seeds"):
+            file.write_text(f"{change}\n{parts}")
+        elif change.startswith("sedes"):
+            file.write_text(f"{change}\n{seeds}\n{parts}")
+        else:
+            file.write_text(f"{seeds}\n{parts}{change}\n")
+        flags = (str(file), *flags)
+    out = tmp_path / "out"
+    beside = () if change is None else ("--quick", "--out", str(out))
+    with pytest.raises(UserError, match=expected) as error:
+        launch(*flags, *beside)
+    assert "\n" not in str(error.value)
+    assert not out.exists()
