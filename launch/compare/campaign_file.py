@@ -90,14 +90,23 @@ class Campaign(Section):
 
 
 def _of(key: str, part: Part, quick: bool) -> Iterator[Prepared]:
-    """The comparisons of a part. Raises UserError."""
+    """The comparisons of a part. Raises UserError.
+
+    With `quick` its sizes are those of every part: a file says how large a real one is.
+    """
+    sizes = {_key(text) for text in descriptions.QUICK} if quick else set()
+    changes = [text for text in part.set if _key(text) not in sizes]
     for description in part.descriptions:
         for dataset in part.datasets or (None,):
             data = () if dataset is None else (f"dataset.name={dataset}",)
-            loaded = descriptions.load(description, [*data, *part.set], None, quick)
+            loaded = descriptions.load(description, [*data, *changes], None, quick)
             base, arms = prepare(loaded, ",".join(part.arms) or None, part.arm, quick)
             level = base.dataset.name.rpartition("/")[2]
             yield Prepared(f"{base.name}-{level}-{key}", base, arms)
+
+
+def _key(assignment: str) -> str:
+    return assignment.partition("=")[0].strip()
 
 
 def shipped() -> dict[str, Path]:

@@ -12,6 +12,7 @@ from otc_dist.launch.__main__ import main
 from otc_dist.launch.compare import campaign_file, comparison
 from otc_dist.launch.compare.campaign_file import Campaign
 from otc_dist.launch.compare.comparison import Comparison
+from otc_dist.launch.plan import descriptions
 from otc_dist.terminal.errors import UserError
 
 PARTS = ("3agent_hopper-medium-replay-one", "3agent_hopper-medium-replay-two")
@@ -19,11 +20,13 @@ _OF_ITS_OWN = ("seconds", "versions")  # what two makings of the same run may di
 
 
 @pytest.fixture
-def file(tmp_path: Path, tiny_flags: tuple[str, ...]) -> Path:
-    """A campaign of two comparisons that are those of the fixture `finished`."""
+def file(tmp_path: Path, tiny_flags: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A campaign of two comparisons that are, by `--quick`, those of the fixture `finished`."""
+    quick = (*descriptions.QUICK, *tiny_flags[1::2])
+    monkeypatch.setattr("otc_dist.launch.plan.descriptions.QUICK", quick)
     path = tmp_path / "twice.toml"
-    part = f'descriptions = ["3agent_hopper"]\nset = {json.dumps(tiny_flags[1::2])}\n'
-    part += 'arms = ["otc-embedding"]\n'
+    part = 'descriptions = ["3agent_hopper"]\narms = ["otc-embedding"]\n'
+    part += 'set = ["sampling.name=otc", "offline.updates=1"]\n'  # the size is not for a quick look
     path.write_text(f'seeds = "0..1"\n[parts.one]\n{part}[parts.two]\n{part}')
     return path
 
@@ -141,6 +144,7 @@ def test_the_paper_s_first_table() -> None:
                 one = found[f"{robot}-{level}-{key}"]
                 assert one.base.dataset.name == f"{one.base.env.id}/{level}"
                 assert one.base.algorithm.name == algorithm
+                assert one.base.offline.updates == 500  # as in any quick look
                 papers = () if key == "default" else ("paper-embedding", "paper-value")
                 assert tuple(one.arms) == (*papers, "uniform", "uniform-null")
 
