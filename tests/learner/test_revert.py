@@ -27,9 +27,9 @@ def test_going_back_takes_an_earlier_policy_and_keeps_all_data(arm: str, tmp_pat
         back = brain(*ARMS[arm], "deployment.count=3")
         back.load(tmp_path / "pi_1")
         back.restore([online(1)])
-        alpha = back.alpha
+        alpha = repr(back.alpha)  # its similarity may be NaN, which equals nothing
         back.revert(tmp_path / "pi_0")
-        assert (back.tuned, back.alpha) == (1, alpha)
+        assert (back.tuned, repr(back.alpha)) == (1, alpha)
         fresh = pretrained(*ARMS[arm], "deployment.count=3")
         acts = (OBSERVATIONS, "evaluation", 0, 0)
         assert back.act(*acts).tobytes() == fresh.act(*acts).tobytes()
