@@ -1,16 +1,14 @@
 """A campaign's file: which descriptions, data sets, arms and seeds are compared."""
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from otc_dist.comparison.arms import Arms
-from otc_dist.description import Description
-from otc_dist.description.assignments import explain
+from otc_dist.description import Description, toml_file
 from otc_dist.description.section import Section
 from otc_dist.names import Name
 from otc_dist.terminal.errors import UserError
@@ -61,15 +59,7 @@ class Campaign(Section):
     @classmethod
     def load(cls, path: Path) -> Self:
         """Read a file. Raises UserError for one that is none."""
-        try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-            return cls.model_validate(data)
-        except OSError as error:
-            raise UserError(f"cannot read the campaign {path}: {error.strerror}") from None
-        except ValidationError as error:  # a ValueError as well, so before these
-            raise explain(cls, error.errors()[0], str(path), data) from None
-        except (ValueError, RecursionError) as error:
-            raise UserError(f"{path} is not valid TOML: {error}") from None
+        return toml_file.load(cls, path, "the campaign")
 
     def comparisons(self, quick: bool) -> Iterator[Prepared]:
         """All of them, each called by its description, the level of its data and its part.

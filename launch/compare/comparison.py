@@ -18,7 +18,7 @@ from otc_dist.terminal.printable import say
 from ..plan import descriptions
 from ..run.resolve import resolve
 from ..supervise.jobs import Job
-from . import cluster, job_graph
+from . import cluster, held_folder, job_graph
 
 EPISODES = 30  # greedy episodes that a comparison needs at least
 
@@ -135,7 +135,7 @@ def carry_out(root: Path, comparisons: Sequence[Comparison], queue: tuple[str, .
     """
     with ExitStack() as held:
         for one in comparisons:
-            held.enter_context(job_graph.opened(one.folder, one.base))
+            held.enter_context(held_folder.opened(one.folder, one.base))
             if one.results is not None:  # a mistake shows before anything runs
                 collected.keep(one.folder, (), (), one.results)
         return _do(root, comparisons, queue)
@@ -161,7 +161,7 @@ def _do(root: Path, comparisons: Sequence[Comparison], queue: tuple[str, ...] | 
         """Show the result so far whenever one more seed is complete for all arms."""
         for index, one in enumerate(comparisons):
             if job.product == job_graph.data_file(one.base):  # the data have been made
-                job_graph.note_inputs(one.folder, one.base)
+                held_folder.note_inputs(one.folder, one.base)
             own = job.product.is_relative_to(one.folder.root)
             if own and len(one.complete()) > complete[index]:
                 complete[index] += 1

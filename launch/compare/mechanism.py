@@ -13,7 +13,7 @@ from otc_dist.terminal.parser import Parser
 
 from ..plan import descriptions
 from ..run.resolve import resolve
-from . import cluster, job_graph
+from . import cluster, held_folder, job_graph
 
 _EXPLANATION = """\
 Deploys the offline policies once and asks, of the transitions that each distance selects at
@@ -63,7 +63,7 @@ def main(argv: list[str]) -> int:
     # A comparison may be at work in the folder: it is ours only if something must be trained.
     # Nor do two submit the same jobs.
     trained = queue is None and all(job.done for job in jobs[: -len(seeds)])
-    with nullcontext() if trained else job_graph.opened(folder, base):
+    with nullcontext() if trained else held_folder.opened(folder, base):
         if queue is not None and not all(job.done for job in jobs):
             return cluster.submit(jobs, queue)
         patience = base.bus.answer_deadline

@@ -12,17 +12,16 @@ import argparse
 import re
 import shlex
 import sys
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, Field
 
 from otc_dist.bus.addresses import HOST_FORM, in_brackets, is_host, is_ipv6
 from otc_dist.bus.keys import HOST
-from otc_dist.description.assignments import explain
+from otc_dist.description import toml_file
 from otc_dist.description.section import Section
 from otc_dist.spec import TeamSpec
 from otc_dist.terminal.errors import UserError, unknown
@@ -74,15 +73,7 @@ class Hosts(Section):
     @classmethod
     def load(cls, path: Path, team: TeamSpec) -> Self:
         """Read a file. Raises UserError for one that is none, or not of this team."""
-        try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-            hosts = cls.model_validate(data)
-        except OSError as error:
-            raise UserError(f"cannot read {path}: {error.strerror}") from None
-        except ValidationError as error:  # a ValueError as well, so before these
-            raise explain(cls, error.errors()[0], str(path), data) from None
-        except (ValueError, RecursionError) as error:
-            raise UserError(f"{path} is not valid TOML: {error}") from None
+        hosts = toml_file.load(cls, path)
         for agent in hosts.learners:
             if agent not in team.names:
                 raise unknown("agent", agent, team.names)

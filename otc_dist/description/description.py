@@ -5,7 +5,6 @@ The same description and seed give the same run, to the byte.
 
 import hashlib
 import re
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Self
@@ -13,7 +12,7 @@ from typing import Annotated, Self
 import tomli_w
 from pydantic import Field, PlainValidator, SerializeAsAny, ValidationError, model_validator
 
-from otc_dist.description import user_code
+from otc_dist.description import toml_file, user_code
 from otc_dist.description.algorithms import AlgorithmSection
 from otc_dist.description.assignments import assign, explain
 from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
@@ -31,7 +30,6 @@ from otc_dist.description.sections import (
     OfflineSection,
 )
 from otc_dist.names import Name, is_code
-from otc_dist.terminal.errors import UserError
 
 # What a summary speaks of.
 SUMMARISED = (
@@ -125,22 +123,13 @@ class Description(Section):
         Raises:
             UserError: the file is missing, is no TOML, or holds an unknown key or a bad value.
         """
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except OSError as error:
-            raise UserError(f"cannot read the description {path}: {error.strerror}") from None
-        except UnicodeDecodeError as error:
-            raise UserError(f"{path} is not valid TOML: {error}") from None
-        return cls.parse(text, assignments, source=str(path))
+        data = toml_file.read(Path(path), "the description")
+        return cls.build(data, assignments, source=str(path))
 
     @classmethod
     def parse(cls, text: str, assignments: Iterable[str] = (), source: str = "description") -> Self:
         """As `load`, from TOML that `source` holds."""
-        try:
-            data = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:  # of TOML, of a number, of too many brackets
-            raise UserError(f"{source} is not valid TOML: {error}") from None
-        return cls.build(data, assignments, source=source)
+        return cls.build(toml_file.parse(text, source), assignments, source=source)
 
     @classmethod
     def build(

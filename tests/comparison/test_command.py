@@ -12,7 +12,7 @@ from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.description import Description
-from otc_dist.launch.compare import command, job_graph, mechanism
+from otc_dist.launch.compare import command, held_folder, job_graph, mechanism
 from otc_dist.launch.plan import descriptions
 from otc_dist.system.processor import processor
 from otc_dist.terminal.errors import UserError
@@ -40,24 +40,24 @@ def test_a_mistake_is_one_clear_line(flags: tuple[str, ...], expected: str, tmp_
 
 def test_a_folder_of_another_description_is_refused(base: Description, tmp_path: Path) -> None:
     folder = ComparisonFolder(tmp_path / "out")
-    with job_graph.opened(folder, base):
+    with held_folder.opened(folder, base):
         pass
     other = base.with_assignments("offline.updates=70")
     with (
         pytest.raises(UserError, match=r"begun with offline\.updates = 60, and this is 70"),
-        job_graph.opened(folder, other),
+        held_folder.opened(folder, other),
     ):
         pass
     without = base.model_copy(update={"summary": "as shipped", "seed": 9})
     with (
         pytest.raises(UserError, match="begun with seed = 0, and this is 9"),
-        job_graph.opened(folder, without),
+        held_folder.opened(folder, without),
     ):
         pass
     (tmp_path / "thesis.tex").touch()
     with (
         pytest.raises(UserError, match="holds something else"),
-        job_graph.opened(ComparisonFolder(tmp_path), base),
+        held_folder.opened(ComparisonFolder(tmp_path), base),
     ):
         pass
 
@@ -70,16 +70,16 @@ def test_a_comparison_does_not_go_on_with_other_data(
         "3agent_hopper", ["dataset.name=random", "dataset.transitions=60"], None, quick=True
     )
     folder = ComparisonFolder(tmp_path / "compared")
-    with job_graph.opened(folder, base):
+    with held_folder.opened(folder, base):
         store.ensure(base.dataset.name, 60)
-        job_graph.note_inputs(folder, base)  # as when the data have been made
-    with job_graph.opened(folder, base):
+        held_folder.note_inputs(folder, base)  # as when the data have been made
+    with held_folder.opened(folder, base):
         pass
     with store.agent_file(base.dataset.name, "agent_1", 60).open("ab") as file:
         file.write(b"other")
     with (
         pytest.raises(UserError, match=r"the data of agent_1 .* have changed since"),
-        job_graph.opened(folder, base),
+        held_folder.opened(folder, base),
     ):
         pass
 

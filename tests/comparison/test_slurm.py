@@ -11,7 +11,7 @@ import pytest
 
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
-from otc_dist.launch.compare import cluster, command, job_graph, mechanism
+from otc_dist.launch.compare import cluster, command, held_folder, mechanism
 from otc_dist.launch.plan import run_record
 from otc_dist.launch.supervise import slurm
 from otc_dist.launch.supervise.jobs import Job
@@ -168,7 +168,7 @@ def test_what_is_in_the_queue_is_neither_done_here_nor_loses_its_folder(
     tmp_path: Path,
 ) -> None:
     folder = ComparisonFolder(tmp_path / "out")
-    with job_graph.opened(folder, base):  # as those that are in the queue have been submitted
+    with held_folder.opened(folder, base):  # as those that are in the queue have been submitted
         pass
     say("squeue", b"7|RUNNING|None|%b" % str(folder.run(0, "uniform")).encode())
     here = ["3agent_hopper", "--quick", "--seeds", "0", *tiny_flags, "--out", str(folder.root)]

@@ -14,7 +14,7 @@ from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.datasets.importers import import_files
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.compare import job_graph
+from otc_dist.launch.compare import held_folder
 from otc_dist.launch.plan import new_folder, run_record
 from otc_dist.launch.plan.placement import Placement
 from otc_dist.launch.run.resolve import resolve
@@ -128,10 +128,10 @@ def test_a_comparison_that_is_refused_before_any_job_is_done_leaves_its_name_fre
     tmp_path: Path,
 ) -> None:
     folder, base = ComparisonFolder(tmp_path / "compared"), resolve(short_description())
-    with pytest.raises(UserError, match="no"), job_graph.opened(folder, base):
+    with pytest.raises(UserError, match="no"), held_folder.opened(folder, base):
         raise UserError("no")
     assert not folder.root.exists()
-    with pytest.raises(UserError, match="no"), job_graph.opened(folder, base):
+    with pytest.raises(UserError, match="no"), held_folder.opened(folder, base):
         folder.seed(0).checkpoint("agent_0", 0).parent.mkdir(parents=True)
         folder.seed(0).checkpoint("agent_0", 0).touch()
         raise UserError("no")
