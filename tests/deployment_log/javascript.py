@@ -15,6 +15,27 @@ _PACKAGES = (
     "ajv@8.20.0",
 )
 
+# What a script begins with that opens logs: `await opened(name)` is the file, and its reader.
+OPENED = """
+import { McapIndexedReader } from "@mcap/core";
+import { decompress } from "fzstd";
+import { open } from "node:fs/promises";
+
+async function opened(name) {
+  const file = await open(name);
+  const readable = {
+    size: async () => BigInt((await file.stat()).size),
+    read: async (offset, length) => {
+      const bytes = new Uint8Array(Number(length));
+      await file.read(bytes, 0, Number(length), Number(offset));
+      return bytes;
+    },
+  };
+  const zstd = (data, size) => decompress(data, new Uint8Array(Number(size)));
+  return [file, await McapIndexedReader.Initialize({ readable, decompressHandlers: { zstd } })];
+}
+"""
+
 
 def run_script(script: str, *arguments: object) -> str:
     """What a module printed; skips the test where Node, npm or the packages cannot be had."""

@@ -11,7 +11,7 @@ from mcap.exceptions import EndOfFile
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import CRCValidationError
 
-from .javascript import run_script
+from .javascript import OPENED, run_script
 
 
 def check_against_header(messages, header: dict[str, str], expected) -> None:
@@ -113,26 +113,9 @@ def test_the_schema_describes_every_field(tmp_path: Path, small) -> None:
 
 
 _SCRIPT = """
-import { McapIndexedReader } from "@mcap/core";
-import { decompress } from "fzstd";
 import { decode } from "@msgpack/msgpack";
-import { open } from "node:fs/promises";
 
-const file = await open(process.argv[2]);
-const readable = {
-  size: async () => BigInt((await file.stat()).size),
-  read: async (offset, length) => {
-    const bytes = new Uint8Array(Number(length));
-    await file.read(bytes, 0, Number(length), Number(offset));
-    return bytes;
-  },
-};
-const reader = await McapIndexedReader.Initialize({
-  readable,
-  decompressHandlers: {
-    zstd: (data, size) => decompress(data, new Uint8Array(Number(size))),
-  },
-});
+const [, reader] = await opened(process.argv[2]);
 const sums = [];
 for await (const message of reader.readMessages({ topics: ["joint_step"] })) {
   const channel = reader.channelsById.get(message.channelId);
@@ -153,7 +136,7 @@ console.log(JSON.stringify({ profile: reader.header.profile, sums }));
 @pytest.mark.slow
 def test_the_javascript_library_reads_a_log(tmp_path: Path, recording) -> None:
     made = recording(((40, 9),) * 3, 4, 200)  # several chunks
-    found = json.loads(run_script(_SCRIPT, made.finish(tmp_path / "log.mcap")))
+    found = json.loads(run_script(OPENED + _SCRIPT, made.finish(tmp_path / "log.mcap")))
     assert found["profile"] == "x-otc-dist"
     assert len(found["sums"]) == 200
     for (sequence, number, rewards, exploring), step in zip(found["sums"], made.steps, strict=True):

@@ -13,7 +13,7 @@ from otc_dist.deployment_log.finishing import write_finished
 from otc_dist.deployment_log.open_log import OpenLog
 from tests.replay.played import play
 
-from .javascript import run_script
+from .javascript import OPENED, run_script
 from .shown import shown
 
 STEPS = 20
@@ -97,27 +97,14 @@ def _fields(descriptors: bytes) -> dict[str, list[tuple[object, ...]]]:
 
 
 _SCRIPT = """
-import { McapIndexedReader } from "@mcap/core";
 import { protobufFromBinaryDescriptor } from "@mcap/support";
-import { decompress } from "fzstd";
 import Ajv from "ajv";
-import { open } from "node:fs/promises";
 
 const ajv = new Ajv({ strict: false });
 const text = new TextDecoder();
 const counts = {};
 for (const name of process.argv.slice(2)) {
-  const file = await open(name);
-  const readable = {
-    size: async () => BigInt((await file.stat()).size),
-    read: async (offset, length) => {
-      const bytes = new Uint8Array(Number(length));
-      await file.read(bytes, 0, Number(length), Number(offset));
-      return bytes;
-    },
-  };
-  const zstd = (data, size) => decompress(data, new Uint8Array(Number(size)));
-  const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers: { zstd } });
+  const [file, reader] = await opened(name);
   const readers = {
     json: (schema) => {
       const valid = ajv.compile(JSON.parse(text.decode(schema.data)));
@@ -153,7 +140,7 @@ console.log(JSON.stringify(counts));
 @pytest.mark.slow
 def test_what_foxglove_and_lichtblick_are_made_of_reads_it(logs: list[Path]) -> None:
     """Protobuf by the schemas in the file; JSON that is valid by them."""
-    counts = json.loads(run_script(_SCRIPT, *logs))
+    counts = json.loads(run_script(OPENED + _SCRIPT, *logs))
     assert counts == {
         "/step": len(logs) * STEPS,
         "/transforms": sum(
