@@ -6,10 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.envs import registry
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.plan import descriptions
 from otc_dist.launch.run import resolve
+from otc_dist.run.exploration import Schedule
 from otc_dist.run.folder import RunFolder
+from otc_dist.run.measured_returns import horizon
 from otc_dist.terminal.errors import UserError
 
 from .conftest import Launcher
@@ -37,6 +40,17 @@ def test_the_best_is_kept_where_that_is_sure_to_work(
     assignments: tuple[str, ...], kept: str
 ) -> None:
     assert settled(*assignments) == kept
+
+
+@pytest.mark.parametrize("name", ["3agent_hopper", "2agent_halfcheetah", "2agent_walker2d"])
+def test_a_deployment_of_the_robots_measures_whole_episodes(name: str) -> None:
+    """What goes wrong late in an episode is measured, in as many copies as have room for it."""
+    made = resolve.resolve(descriptions.load(name, ["engine.name=eager"], None, quick=False))
+    team = registry.team_spec(made.env.id)
+    longest = team.max_episode_steps
+    steps = Schedule.of(made, len(team.agents)).steps
+    assert horizon(steps, made.env.copies, longest) == longest
+    assert made.deployment.transitions // (made.env.copies + 1) < longest  # one more has none
 
 
 @pytest.mark.parametrize(
