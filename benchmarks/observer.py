@@ -1,6 +1,6 @@
 """What does somebody who looks on cost a run: by the view, or by all of the bus and never reading?
 
-    python benchmarks/observer.py [--rounds 7] [--steps 2000] [--kind view]
+    python benchmarks/observer.py [--rounds 7] [--steps 10000] [--kind view]
 
 The lock-step of benchmarks/lockstep.py (three agents, E = 1), without and with somebody who looks
 on, in pairs one after the other:
@@ -205,7 +205,7 @@ def _timed(put: Callable[[bytes], None]) -> float:
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--steps", type=int, default=2000, help="lock-steps a measurement")
+    parser.add_argument("--steps", type=int, default=10_000, help="lock-steps a measurement")
     parser.add_argument("--kind", choices=KINDS, action="append", help="of those (default: all)")
     parser.add_argument("--puts", action="store_true", help="time what is published, no lock-steps")
     arguments = parser.parse_args()
