@@ -15,12 +15,17 @@ from otc_dist.terminal.printable import aligned, say
 from ..plan import descriptions
 from ..supervise import job_order
 from ..supervise.jobs import Job, cores
-from . import campaign_file, cluster, comparison
+from . import campaign_file, cluster, comparison, rates
 from .campaign_file import Campaign
 from .command import lines
 from .comparison import Comparison
 
 CLUSTER = 64  # cores for which the forecast says the time as well
+_MEASURED = "by the processor time that jobs took which are done"
+_UNMEASURED = (
+    "by rates of another machine: no job that is done says what it took, and machines differ by"
+    " more than a factor of two"
+)
 
 _EXPLANATION = """\
 Does every comparison that a TOML file lists, as `compare` does one: the first seed of all, then the
@@ -84,10 +89,10 @@ def main(argv: list[str]) -> int:
 
 
 def _forecast(comparisons: Sequence[Comparison], seeds: Sequence[int]) -> Iterator[str]:
-    """What is to be done, and how long it takes at the rates of a run's forecast."""
+    """What is to be done, and how long it takes by what took how long, or a run's forecast."""
     yield f"seeds {', '.join(map(str, seeds))}: each of all comparisons before the next"
-    jobs = comparison.jobs_of(comparisons)
-    rows = [("comparison", "jobs", "to do", "core hours", "arms")]
+    jobs = rates.measured(comparisons, comparison.jobs_of(comparisons))
+    rows = [("comparison", "jobs", "took", "to do", "core hours", "arms")]
     for one in comparisons:
         own = [job for job in jobs if job.output.is_relative_to(one.folder.root)]
         rows.append((one.name, *_amounts(own), ", ".join(one.arms)))
@@ -99,15 +104,18 @@ def _forecast(comparisons: Sequence[Comparison], seeds: Sequence[int]) -> Iterat
     todo = [job for job in jobs if not job.done]
     longest = max(job_order.chains(todo).values(), default=0.0)
     total = sum(job.seconds for job in todo)
+    yield _MEASURED if rates.hours(jobs) else _UNMEASURED
     for count, where in ((cores(), "this machine"), (CLUSTER, "a cluster")):
         yield f"about {duration(max(total / count, longest))} on {where}, {count} cores"
 
 
-def _amounts(jobs: Sequence[Job]) -> tuple[str, str, str]:
-    """How many jobs, how many of them are left, and the hours of one core that these take."""
+def _amounts(jobs: Sequence[Job]) -> tuple[str, str, str, str]:
+    """How many jobs, the hours of one core that those took which are done, how many are left, and
+    the hours that these take.
+    """
     todo = [job for job in jobs if not job.done]
     hours = sum(job.seconds for job in todo) / 3600
-    return f"{len(jobs):,}", f"{len(todo):,}", f"{hours:,.1f}"
+    return f"{len(jobs):,}", f"{rates.hours(jobs):,.1f}", f"{len(todo):,}", f"{hours:,.1f}"
 
 
 def _show(root: Path) -> int:

@@ -1,18 +1,21 @@
-"""`python -m otc_dist.launch.compare.job FOLDER SEED PIECE ...`: one process of a comparison.
+"""`python -m otc_dist.launch.compare.job FOLDER SEED OUTPUT PIECE ...`: a process of a comparison.
 
 compile MARK                     compile what offline training runs, and make the file MARK
 offline AGENT [ASSIGNMENT ...]   train pi_0 of one agent, or of an arm that has its own
 pi_0 [ASSIGNMENT ...]            evaluate the team pi_0
 arm NAME ASSIGNMENT ...          tune and evaluate an arm
+
+What it took is written beside OUTPUT, unless an earlier process has done a part of it.
 """
 
 from pathlib import Path
 
 import torch
 
-from otc_dist.comparison import arms, runs
+from otc_dist.comparison import arms, runs, spent
 from otc_dist.comparison.mechanism import check
 from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.comparison.spent import Spent
 from otc_dist.description import Description, user_code
 from otc_dist.description.distances import DISTANCES
 from otc_dist.terminal.errors import run_main
@@ -25,23 +28,26 @@ from ..supervise.jobs import ProgressLines
 def main(argv: list[str]) -> int:
     """Do one piece."""
     torch.set_num_threads(1)
-    path, seed, piece, *rest = argv
+    path, seed, output, piece, *rest = argv
     folder = ComparisonFolder(Path(path))
     base = Description.load(folder.description).trusted()
     arms.trust(rest)
     with user_code.answers_for(*base.parts, *(text.partition("=")[2] for text in rest)):
-        _do(folder, base, int(seed), piece, rest)
+        whole = _do(folder, base, int(seed), piece, rest)
+    if whole:
+        Spent.so_far().write(spent.beside(Path(output)))
     return 0
 
 
 def _do(
     folder: ComparisonFolder, base: Description, seed: int, piece: str, rest: list[str]
-) -> None:
+) -> bool:
+    """Returns whether this process has done all of it."""
     if piece == "compile":
         compile_updates(base, fits=DISTANCES)
         Path(rest[0]).touch()
     elif piece == "offline":
-        runs.train_offline(folder, base, seed, rest[0], ProgressLines(), rest[1:])
+        return runs.train_offline(folder, base, seed, rest[0], ProgressLines(), rest[1:])
     elif piece == "pi_0":
         runs.evaluate_offline(folder, base, seed, rest)
     else:
@@ -51,6 +57,7 @@ def _do(
         else:
             analysed = base.with_assignments(*assignments)
             check.measure(folder, analysed, seed, name, ProgressLines())
+    return True
 
 
 if __name__ == "__main__":

@@ -90,7 +90,7 @@ def _compiled_first(folder: ComparisonFolder, base: Description, jobs: list[Job]
     if base.engine.name == "eager" or not training:
         return jobs
     mark, output = _mark(base), folder.root / "output" / "compile.log"
-    command = _piece(folder, base.seed, "compile", str(mark))
+    command = _piece(folder, base.seed, output, "compile", str(mark))
     code = Job("compiled code", command, mark, output, seconds=60)
     waiting = {job.name: replace(job, needs=(*job.needs, code.product)) for job in training}
     return [data, code, *(waiting.get(job.name, job) for job in jobs[1:])]
@@ -108,17 +108,20 @@ def _training(
     description = describe(base, assignments, seed)
     files = offline_files(folder, base, description)
     seconds = forecast.offline(description) + forecast.fits(base)
-    return [
-        Job(
-            f"seed {seed}, {agent} offline{owner and f' for {owner}'}",
-            _piece(folder, seed, "offline", agent, *assignments),
-            files.checkpoint(agent, 0),
-            folder.output(seed, f"offline_{agent}{owner and f'_{owner}'}"),
-            (data.product,),
-            seconds,
+    jobs = []
+    for agent in registry.team_spec(base.env.id).names:
+        output = folder.output(seed, f"offline_{agent}{owner and f'_{owner}'}")
+        jobs.append(
+            Job(
+                f"seed {seed}, {agent} offline{owner and f' for {owner}'}",
+                _piece(folder, seed, output, "offline", agent, *assignments),
+                files.checkpoint(agent, 0),
+                output,
+                (data.product,),
+                seconds,
+            )
         )
-        for agent in registry.team_spec(base.env.id).names
-    ]
+    return jobs
 
 
 def _trained_and_evaluated(
@@ -132,11 +135,12 @@ def _trained_and_evaluated(
     """The same, and the evaluation of pi_0 last."""
     training = _training(folder, base, seed, data, assignments, owner)
     files = offline_files(folder, base, describe(base, assignments, seed))
+    output = folder.output(seed, f"pi_0{owner and f'_{owner}'}")
     evaluation = Job(
         f"seed {seed}, evaluation of pi_0{owner and f' for {owner}'}",
-        _piece(folder, seed, "pi_0", *assignments),
+        _piece(folder, seed, output, "pi_0", *assignments),
         files.root / OFFLINE,
-        folder.output(seed, f"pi_0{owner and f'_{owner}'}"),
+        output,
         tuple(job.product for job in training),
         seconds=15,
     )
@@ -184,12 +188,13 @@ def comparison(
             if root not in offline:
                 offline[root] = _trained_and_evaluated(folder, base, seed, data, assignments, arm)
                 jobs += offline[root]
+            output = folder.output(seed, arm)
             jobs.append(
                 Job(
                     f"seed {seed}, arm {arm}",
-                    _piece(folder, seed, "arm", arm, *assignments),
+                    _piece(folder, seed, output, "arm", arm, *assignments),
                     folder.run(seed, arm),
-                    folder.output(seed, arm),
+                    output,
                     tuple(job.product for job in offline[root]),
                     _tuning_seconds(description, ANALYSIS if arm in ANALYSES else 0.0),
                 )
@@ -213,7 +218,9 @@ def mechanism(
         *(
             Job(
                 f"seed {seed}, mechanism",
-                _piece(folder, seed, "mechanism", name, *assignments),
+                _piece(
+                    folder, seed, folder.output(seed, "mechanism"), "mechanism", name, *assignments
+                ),
                 folder.mechanism(name, seed),
                 folder.output(seed, "mechanism"),
                 tuple(job.product for job in training[seed]),
@@ -225,8 +232,9 @@ def mechanism(
     return _compiled_first(folder, base, jobs)
 
 
-def _piece(folder: ComparisonFolder, seed: int, *piece: str) -> tuple[str, ...]:
-    return (*MODULE, "otc_dist.launch.compare.job", str(folder.root), str(seed), *piece)
+def _piece(folder: ComparisonFolder, seed: int, output: Path, *piece: str) -> tuple[str, ...]:
+    job = "otc_dist.launch.compare.job"
+    return (*MODULE, job, str(folder.root), str(seed), str(output), *piece)
 
 
 def _tuning_seconds(description: Description, analysis: float) -> float:

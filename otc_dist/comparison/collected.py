@@ -1,7 +1,8 @@
 """Raw scores from a folder, and into one: nothing else of a comparison is needed for its tables.
 
 A comparison's folder holds them in seeds/seed_00/ARM.json; a folder that is kept, as under
-results/tuning/NAME, in seed_00/ARM.json, with pi_0.json and the description beside.
+results/tuning/NAME, in seed_00/ARM.json, with pi_0.json, what the jobs took, and the description
+beside.
 """
 
 import tomllib
@@ -9,8 +10,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from otc_dist.comparison import spent
 from otc_dist.comparison.arms import KNOWN, REFERENCE
-from otc_dist.comparison.scores import OFFLINE, ComparisonFolder, Run
+from otc_dist.comparison.scores import NO_RUNS, OFFLINE, SPENT, ComparisonFolder, Run, to_json
 from otc_dist.envs import registry
 from otc_dist.run.folder import RunFolder
 from otc_dist.system import durable
@@ -61,7 +63,7 @@ def collect(root: Path) -> Collected:
     inside = root / "seeds" if (root / "seeds").is_dir() else root
     runs: dict[str, list[Run]] = {}
     for path in sorted(inside.glob("seed_*/*.json")):
-        if path.name != OFFLINE:
+        if path.name not in NO_RUNS:
             run = Run.read(path)
             if (run.arm, f"seed_{run.seed:02d}") != (path.stem, path.parent.name):
                 raise UserError(f"{path} is of {run.arm}, seed {run.seed}; delete it")
@@ -83,19 +85,21 @@ def has_scores(root: Path) -> bool:
 
 
 def keep(folder: ComparisonFolder, arms: Iterable[str], seeds: Iterable[int], root: Path) -> None:
-    """Copy the description and the raw scores of complete seeds to a folder that is kept.
+    """Copy the description, the raw scores of complete seeds and what they took to a folder that is
+    kept.
 
     Raises:
         UserError: it is of another description, or cannot be written.
     """
-    copies = {root / "description.toml": folder.description}
-    for seed in seeds:
-        into = root / f"seed_{seed:02d}"
-        copies[into / OFFLINE] = folder.offline(seed)
-        copies |= {into / f"{arm}.json": folder.run(seed, arm) for arm in arms}
     try:
-        for target, source in copies.items():
-            content = source.read_bytes()
+        contents = {root / "description.toml": folder.description.read_bytes()}
+        for seed in seeds:
+            into = root / f"seed_{seed:02d}"
+            contents[into / OFFLINE] = folder.offline(seed).read_bytes()
+            contents |= {into / f"{arm}.json": folder.run(seed, arm).read_bytes() for arm in arms}
+            if took := spent.of_seed(folder, seed):
+                contents[into / SPENT] = to_json(took)
+        for target, content in contents.items():
             if target.exists() and target.read_bytes() == content:
                 continue
             if target.name == "description.toml" and target.exists():

@@ -50,9 +50,12 @@ def train_offline(
     agent: str,
     on_progress: OnProgress,
     assignments: Sequence[str] = (),
-) -> None:
+) -> bool:
     """Train pi_0 of one agent, and what any arm's distance fits to B_0, from its newest unfinished
     checkpoint. It is kept for other comparisons as well.
+
+    Returns:
+        whether there was no such checkpoint, so that this process did all of it.
 
     Args:
         assignments: those of an arm that has its own pi_0; none: the one that all others share.
@@ -61,7 +64,7 @@ def train_offline(
     files = offline_files(folder, base, description)
     learner = _learner(description, agent, fits=DISTANCES)
     unfinished = files.offline_checkpoint(agent)
-    if unfinished.exists():
+    if begun := unfinished.exists():
         learner.load(unfinished)
     offline = description.offline.updates
 
@@ -73,6 +76,7 @@ def train_offline(
     learner.save(made := files.checkpoint(agent, 0))
     unfinished.unlink(missing_ok=True)
     offline_cache.keep(description, agent, made)
+    return not begun
 
 
 def evaluate_offline(

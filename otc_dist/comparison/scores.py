@@ -15,7 +15,9 @@ from otc_dist.system import durable, records
 from otc_dist.terminal.errors import UserError
 
 FORMAT = 2
-OFFLINE = "pi_0.json"  # the one file of a seed's folder that is no run's
+OFFLINE = "pi_0.json"  # greedy returns of a seed's offline policies
+SPENT = "spent.json"  # what the jobs of a seed took, where raw scores are kept
+NO_RUNS = (OFFLINE, SPENT)  # the files of a seed's folder that are no run's
 
 SamplerMetrics = dict[str, float | None]  # name -> value; None where it is not a number
 
@@ -117,7 +119,7 @@ class ComparisonFolder:
     seeds/seed_00/own/DIGEST/ the same of arms that train another pi_0, by its digest
     seeds/seed_00/ARM.json    raw scores of one run
     mechanism/NAME/seed_00.json   what samplers select, by the analysis of that name
-    output/                   what each process printed
+    output/                   what each process printed, and beside it the time that it took
     comparison.json, comparison.html
     """
 
@@ -172,9 +174,14 @@ class ComparisonFolder:
 def write_json(path: Path, fields: Mapping[str, Any]) -> None:
     """Replace `path` in one step; null stands for NaN. Raises UserError if it cannot be written."""
     try:
-        durable.write(path, (json.dumps(_without_nan(fields), indent=1) + "\n").encode())
+        durable.write(path, to_json(fields))
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror}") from None
+
+
+def to_json(fields: Mapping[str, Any]) -> bytes:
+    """A file's content; null stands for NaN."""
+    return (json.dumps(_without_nan(fields), indent=1) + "\n").encode()
 
 
 def _without_nan(value: object) -> object:

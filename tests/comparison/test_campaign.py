@@ -7,12 +7,15 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.comparison import spent
 from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.comparison.spent import Spent
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.compare import campaign_file, comparison
+from otc_dist.launch.compare import campaign_file, comparison, rates
 from otc_dist.launch.compare.campaign_file import Campaign
 from otc_dist.launch.compare.comparison import Comparison
 from otc_dist.launch.plan import descriptions
+from otc_dist.system.processor import processor
 from otc_dist.terminal.errors import UserError
 
 PARTS = ("3agent_hopper-medium-replay-one", "3agent_hopper-medium-replay-two")
@@ -40,6 +43,15 @@ def out(tmp_path: Path, finished: ComparisonFolder) -> Path:
     return tmp_path / "out"
 
 
+def compared(file: Path, root: Path, seeds: tuple[int, ...]) -> list[Comparison]:
+    return [
+        Comparison(
+            ComparisonFolder(root / one.name), one.base, one.arms, seeds, True, None, one.name
+        )
+        for one in Campaign.load(file).comparisons(quick=True)
+    ]
+
+
 def launch(*words: str | Path) -> int:
     return main(["campaign", *map(str, words)])
 
@@ -62,7 +74,11 @@ def test_a_campaign_is_gone_on_with_and_each_part_s_scores_are_those_of_its_comp
             json.loads(folder.run(seed, "uniform-null").read_text()) for folder in (mine, finished)
         )
         assert again | dict.fromkeys(_OF_ITS_OWN) == before | dict.fromkeys(_OF_ITS_OWN)
-        assert len(list((kept / part).glob("seed_0[01]/*.json"))) == 2 * 4
+        spent = kept / part / f"seed_0{seed}" / "spent.json"
+        (job,) = json.loads(spent.read_text()).items()  # the one that was a process of its own
+        assert job[0] == "uniform-null" and job[1]["processor_seconds"] > 0.5
+        assert job[1]["processor"] == again["processor"]
+        assert len({*(kept / part).glob("seed_0[01]/*.json")} - {spent}) == 2 * 4
     assert launch(*command) == 0
     assert ", 0 of them to do\n" in (said := capsys.readouterr().out)
     assert all(f"{part}: 2 complete seeds" in said for part in PARTS)
@@ -85,13 +101,7 @@ def test_tables_are_those_of_every_comparison_and_need_the_raw_scores_only(
 def test_seeds_come_before_parts_and_what_parts_share_is_made_once(
     file: Path, tmp_path: Path
 ) -> None:
-    comparisons = [
-        Comparison(
-            ComparisonFolder(tmp_path / one.name), one.base, one.arms, (0, 1), True, None, one.name
-        )
-        for one in Campaign.load(file).comparisons(quick=True)
-    ]
-    jobs = comparison.jobs_of(comparisons)
+    jobs = comparison.jobs_of(compared(file, tmp_path, (0, 1)))
     assert len(jobs) == len({job.product for job in jobs}) == len({job.name for job in jobs})
     assert len(jobs) == 1 + 2 * 2 * 7  # the data, and a seed's jobs
     seeds = [job.name.split(", ")[1] for job in jobs[1:]]
@@ -103,18 +113,63 @@ def test_a_dry_run_says_what_is_left_and_for_how_long(
 ) -> None:
     before = sorted(out.rglob("*"))
     assert launch(file, "--quick", "--out", out, "--seeds", "0..2", "--dry-run") == 0
-    seeds, _, one, two, whole, *hours = capsys.readouterr().out.splitlines()
+    seeds, _, one, two, whole, how, *hours = capsys.readouterr().out.splitlines()
     assert seeds.startswith("seeds 0, 1, 2:")
     # The data were made before, and lie in none of the folders.
-    assert [line.split()[:3] for line in (one, two)] == [
-        [PARTS[0], "22", "8"],
-        [PARTS[1], "21", "8"],
+    assert [line.split()[:4] for line in (one, two)] == [
+        [PARTS[0], "22", "0.0", "8"],
+        [PARTS[1], "21", "0.0", "8"],
     ]
-    assert whole.split()[:4] == ["in", "all", "43", "16"]
+    assert whole.split()[:5] == ["in", "all", "43", "0.0", "16"]
+    assert how.startswith("by rates of another machine: no job that is done says what it took")
     assert all(
         re.fullmatch(r"about .* (s|min) on (this machine|a cluster), \d+ cores?", x) for x in hours
     )
     assert sorted(out.rglob("*")) == before
+
+
+def test_what_is_left_takes_as_long_as_its_kind_did(
+    file: Path, out: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each job by those that do the same for another seed, by any of its piece, or by all."""
+    comparisons = compared(file, out, (0, 1, 2))
+    jobs = comparison.jobs_of(comparisons)
+    assert [job.seconds for job in rates.measured(comparisons, jobs)] == [x.seconds for x in jobs]
+    said = {
+        out / PARTS[part] / "output" / f"{output}.log": times
+        for part, output, times in (
+            (0, "seed_00_uniform", 3.0),
+            (0, "seed_01_uniform", 5.0),  # the same job: by both
+            (0, "seed_00_offline_agent_0", 2.0),
+            (1, "seed_00_otc-embedding", 8.0),
+            (1, "seed_01_uniform-null", 100.0),  # it is not done
+        )
+    }
+    by_output = {job.output: job for job in jobs}
+    for path, times in said.items():
+        Spent(times * by_output[path].seconds, processor()).write(spent.beside(path))
+    path = out / PARTS[0] / "output" / "seed_01_pi_0.log"
+    Spent(1e6, "of another kind").write(spent.beside(path))
+
+    found = zip(jobs, rates.measured(comparisons, jobs), strict=True)
+    slower = {job.output: now.seconds / job.seconds for job, now in found}
+
+    def told(part: int, job: str) -> float:
+        return slower[out / PARTS[part] / "output" / f"seed_02_{job}.log"]
+
+    assert told(0, "uniform") == pytest.approx(4.0) == told(1, "uniform")
+    assert told(0, "otc-embedding") == pytest.approx(8.0) == told(1, "otc-embedding")
+    assert told(1, "offline_agent_2") == pytest.approx(2.0)
+    done = [(by_output[path], times) for path, times in said.items() if by_output[path].done]
+    took = sum(job.seconds * times for job, times in done)
+    of_all = took / sum(job.seconds for job, _ in done)
+    assert told(0, "pi_0") == pytest.approx(of_all) == told(1, "uniform-null")
+
+    assert launch(file, "--quick", "--out", out, "--seeds", "0..2", "--dry-run") == 0
+    assert "by the processor time that jobs took which are done\n" in capsys.readouterr().out
+    spent.beside(path).write_text("{}")
+    with pytest.raises(UserError, match=r"seed_01_pi_0\.json is damaged: .*; delete it"):
+        launch(file, "--quick", "--out", out, "--dry-run")
 
 
 def test_on_a_cluster_the_jobs_of_all_parts_go_into_the_queue(
@@ -138,6 +193,9 @@ def test_the_paper_s_first_table() -> None:
     campaign = Campaign.load(campaign_file.find("paper-table1"))
     found = {one.name: one for one in campaign.comparisons(quick=True)}
     assert campaign.seeds == "20..24" and len(found) == 3 * 3 * 3
+    paper = {"paper-embedding", "paper-value"}
+    figures = {"paper-embedding-fixed", "balanced", "online-only"}  # 4 and 5
+    arms = {"bcq": paper | figures, "awac": paper, "default": set[str]()}
     for robot in ("2agent_halfcheetah", "2agent_walker2d", "3agent_hopper"):
         for level in ("random", "medium", "medium-replay"):
             for key, algorithm in {"bcq": "bcq", "awac": "awac", "default": "td3bc"}.items():
@@ -145,8 +203,7 @@ def test_the_paper_s_first_table() -> None:
                 assert one.base.dataset.name == f"{one.base.env.id}/{level}"
                 assert one.base.algorithm.name == algorithm
                 assert one.base.offline.updates == 500  # as in any quick look
-                papers = () if key == "default" else ("paper-embedding", "paper-value")
-                assert tuple(one.arms) == (*papers, "uniform", "uniform-null")
+                assert set(one.arms) == {*arms[key], "uniform", "uniform-null"}
 
 
 @pytest.mark.parametrize(

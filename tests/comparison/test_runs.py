@@ -130,12 +130,14 @@ def test_interrupted_offline_training_goes_on_to_the_same_policy(
             raise KeyboardInterrupt
 
     folders = [ComparisonFolder(tmp_path / name) for name in ("through", "cut")]
-    runs.train_offline(folders[0], longer, 0, "agent_1", silent)
+    assert runs.train_offline(folders[0], longer, 0, "agent_1", silent)
     with pytest.raises(KeyboardInterrupt):
         runs.train_offline(folders[1], longer, 0, "agent_1", interrupt)
     assert folders[1].seed(0).offline_checkpoint("agent_1").exists()
     seen: list[str] = []
-    runs.train_offline(folders[1], longer, 0, "agent_1", lambda share, where: seen.append(where))
+    assert not runs.train_offline(
+        folders[1], longer, 0, "agent_1", lambda share, where: seen.append(where)
+    )
     assert seen[0] == "offline 200 of 230"  # it had been saved after 100
     through, cut = (checkpoint.read(f.seed(0).checkpoint("agent_1", 0))[0] for f in folders)
     assert checkpoint.digest(through) == checkpoint.digest(cut)

@@ -94,6 +94,10 @@ _ARMS = {
         of("embedding", *_RANK, *_PAPER),
         "otc-embedding as the paper has it: what imitates sees the same batch",
     ),
+    "paper-embedding-fixed": Arm(
+        of("embedding", *_RANK, *_PAPER, "sampling.adaptive=false"),
+        "paper-embedding, with alpha as it is at first",
+    ),
     "paper-value": Arm(
         of("value", *_RANK, *_PAPER), "otc-value as the paper has it, its normaliser too"
     ),
