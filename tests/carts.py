@@ -2,8 +2,8 @@
 
 `told` of the environment CARTS_TOLD names a file, to which each command of both carts is appended,
 "stop" whenever they come to rest, and "on" when they are switched on; when the command of number
-CARTS_MARK (of this process) is told, the file CARTS_TOLD.MARK appears, and CARTS_TOLD.stop when they
-first come to rest. CARTS_PERIOD is the device's period, seconds.
+CARTS_MARK (of this process) is told, the file CARTS_TOLD.MARK appears; CARTS_TOLD.stop appears when
+they first come to rest. CARTS_PERIOD is the device's period, seconds.
 """
 
 import json

@@ -2,13 +2,44 @@
 
 import argparse
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from otc_dist.terminal.errors import UserError, unknown
 
 
+class _Once(argparse.Action):
+    """Keeps the value of an option, and refuses a second one: one of the two would be lost."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        assert isinstance(parser, Parser)
+        if self.option_strings and self.dest in parser.met:
+            parser.error(f"{option_string} is given twice, and takes one value")
+        parser.met.add(self.dest)
+        setattr(namespace, self.dest, values)
+
+
 class Parser(argparse.ArgumentParser):
-    """Reports a mistake as one line, like everything else here."""
+    """Reports a mistake as one line, like everything else here.
+
+    Attributes:
+        met: the options of one value that the command line has had so far.
+    """
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.met: set[str] = set()
+        self.register("action", None, _Once)
+
+    def parse_known_args(self, *arguments: Any, **named: Any) -> Any:
+        """As argparse does."""
+        self.met = set()
+        return super().parse_known_args(*arguments, **named)
 
     def actions(self) -> Sequence[argparse.Action]:
         """All that can be given, commands below this one not looked into."""

@@ -51,6 +51,8 @@ from .short import SHORT
         (["--list", "--dry-run"], "--list lists what there is: leave out --dry-run"),
         (["3agent_hopper", "--hosts", "h.toml", "--ssh", "--dry-run"], "leave out --dry-run"),
         (["3agent_hopper", "--hosts", "h.toml", "--from", "run"], "leave out --from"),
+        (["3agent_hopper", "--seed", "0", "--seed", "1"], "--seed is given twice"),
+        (["3agent_hopper", "--track", "mlflow", "--track=mlflow"], "--track is given twice"),
         (["3agent_hopper", "--ssh"], "--ssh needs --hosts FILE"),
         (["3agent_hopper", "--deployments", "3"], "--deployments extends a run"),
         (["3agent_hopper", "--arm", "otc-embeding"], "did you mean 'otc-embedding'?"),
