@@ -12,6 +12,8 @@ from otc_dist.bus.messages import Status
 from otc_dist.system import extras
 from otc_dist.system.ports import Port
 
+_MISSED = ("held", "late", "broken_off")  # of a deployment in real time
+
 
 @dataclass(frozen=True)
 class Counts:
@@ -82,6 +84,15 @@ def exposed(
             for kind, value in counted.returns.items():
                 returns.add_metric([kind], value)
             yield returns
+            missed = GaugeMetricFamily(
+                "otc_missed",
+                "in this deployment in real time: actions held, observations late, episodes broken off",
+                labels=["kind"],
+            )
+            for kind in _MISSED:
+                if kind in now.metrics:
+                    missed.add_metric([kind], now.metrics[kind])
+            yield missed
 
     registry = CollectorRegistry()
     registry.register(Answers())

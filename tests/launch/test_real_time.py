@@ -2,7 +2,9 @@
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from urllib.error import URLError
 
 import pytest
 
@@ -15,6 +17,7 @@ from otc_dist.terminal.errors import UserError
 
 from .. import carts
 from .conftest import Launcher
+from .scrapes import free_port, scraped
 
 REAL_TIME = ("deployment.rate_hz=50", "env.copies=1", "evaluation.episodes=0")
 
@@ -50,15 +53,20 @@ def test_a_person_resets_the_devices_stops_the_run_and_goes_on(
     assert main(["status", str(folder.root)]) == 0
     assert capsys.readouterr().out.startswith(f"{folder.root}: stopped")
 
+    port, told = free_port(), set()
+
     def finished(line: str) -> bool:
         """Approve whatever is asked for until the run is over."""
+        with suppress(URLError):  # before the env host answers, and when it is done
+            told.update(kind for name, kind in scraped(port) if name == "otc_missed")
         if line.startswith("approve with: "):
             assert main(["approve", str(folder.root)]) == 0
         return line.endswith(": finished")
 
-    again = launch("--resume", "run")
+    again = launch("--resume", "run", "--prometheus", str(port))
     again.read_until(finished)
     assert "approved: deployment 1, from step 0 on, by policy 0" in capsys.readouterr().out
+    assert told == {"held", "late", "broken_off"}
     assert again.finish() == 0 and any(line.startswith(waits) for line in again.lines)
     path = folder.deployment(1)
     log = read_log(path)
