@@ -86,7 +86,7 @@ def exposed(
             yield returns
             missed = GaugeMetricFamily(
                 "otc_missed",
-                "in this deployment in real time: actions held, observations late, episodes broken off",
+                "in real time: actions held, observations late, episodes broken off",
                 labels=["kind"],
             )
             for kind in _MISSED:
