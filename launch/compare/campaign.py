@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from otc_dist.comparison import arms as arms_of
-from otc_dist.comparison import collected
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.terminal.amounts import duration
 from otc_dist.terminal.errors import UserError
@@ -17,7 +16,7 @@ from ..supervise import job_order
 from ..supervise.jobs import Job, cores
 from . import campaign_file, cluster, comparison, rates
 from .campaign_file import Campaign
-from .command import lines
+from .campaign_results import PAGE, Results, write
 from .comparison import Comparison
 
 CLUSTER = 64  # cores for which the forecast says the time as well
@@ -31,7 +30,8 @@ _EXPLANATION = """\
 Does every comparison that a TOML file lists, as `compare` does one: the first seed of all, then the
 second, so that whatever time allows are complete seeds of all. The same command continues where it
 was stopped, and takes more seeds later. Each comparison has its folder in OUT, named after its
-description, its data and its part of the file, with raw scores and a page of tables.
+description, its data and its part of the file, with raw scores and a page of tables;
+OUT/campaign.html has all of them together, rewritten whenever a seed of all is complete.
 """
 
 
@@ -44,10 +44,16 @@ def main(argv: list[str]) -> int:
     parser = command_line()
     arguments = parser.parse_args(argv)
     given = parser.given(arguments)
+    if arguments.page is not None and arguments.tables is None:
+        raise UserError("--page is made of what --tables shows: give both")
     if arguments.tables is not None:
-        if idle := [flag for name, flag in given.items() if name != "tables"]:
+        if idle := [flag for name, flag in given.items() if name not in ("tables", "page")]:
             raise UserError(f"--tables shows what is in its folder: leave out {idle[0]}")
-        return _show(arguments.tables)
+        shown = Results.read(arguments.tables)
+        say(*shown.text())
+        if arguments.page is not None:
+            write(arguments.page, shown.page().encode())
+        return 0
     if arguments.campaign is None:
         shipped = ", ".join(campaign_file.shipped())
         raise UserError(
@@ -85,7 +91,21 @@ def main(argv: list[str]) -> int:
     if arguments.status:
         cluster.show(comparison.jobs_of(comparisons))
         return 0
-    return comparison.carry_out(root, comparisons, queue)
+
+    def whole() -> None:
+        """Show all of them together; the file lies beside the scores, to say what they are of."""
+        if not any(root.glob("*/description.toml")):
+            return  # they were taken away again: nothing could be done
+        for folder in (root, *([] if results is None else [results])):
+            write(folder / path.name, path.read_bytes())
+        shown = Results.read(root)
+        if shown.found:
+            write(root / PAGE, shown.page().encode())
+
+    status = comparison.carry_out(root, comparisons, queue, whole)
+    if (root / PAGE).exists():
+        say(f"all together: {root / PAGE}")
+    return status
 
 
 def _forecast(comparisons: Sequence[Comparison], seeds: Sequence[int]) -> Iterator[str]:
@@ -116,19 +136,6 @@ def _amounts(jobs: Sequence[Job]) -> tuple[str, str, str, str]:
     todo = [job for job in jobs if not job.done]
     hours = sum(job.seconds for job in todo) / 3600
     return f"{len(jobs):,}", f"{rates.hours(jobs):,.1f}", f"{len(todo):,}", f"{hours:,.1f}"
-
-
-def _show(root: Path) -> int:
-    """Print the tables of every comparison in a folder."""
-    parts = sorted(path.parent for path in root.glob("*/description.toml"))
-    if not parts:
-        raise UserError(f"{root} is not the folder of a campaign: none in it is a comparison's")
-    for part in parts:
-        if collected.has_scores(part):
-            say(f"{part.name}:", *lines(collected.collect(part)), "")
-        else:
-            say(f"{part.name}: no seed is complete yet", "")
-    return 0
 
 
 def command_line() -> Parser:
@@ -164,6 +171,12 @@ def command_line() -> Parser:
         metavar="FOLDER",
         help="run nothing: print all tables of the raw scores in a campaign's folder, or in one"
         " that --results made",
+    )
+    parser.add_argument(
+        "--page",
+        type=Path,
+        metavar="FILE.html",
+        help="with --tables: write the page of them, with curves",
     )
     parser.add_argument(
         "--dry-run",

@@ -8,6 +8,7 @@ from typing import Annotated, Self
 from pydantic import Field
 
 from otc_dist.comparison.arms import Arms
+from otc_dist.comparison.campaign.published import Figure, Published
 from otc_dist.description import Description, toml_file
 from otc_dist.description.section import Section
 from otc_dist.names import Name
@@ -55,6 +56,8 @@ class Campaign(Section):
     seeds: str
     parts: Annotated[dict[Name, Part], Field(min_length=1)]
     summary: str = ""
+    published: Published | None = None  # what is printed beside ours
+    figures: tuple[Figure, ...] = ()  # the claims that are judged
 
     @classmethod
     def load(cls, path: Path) -> Self:

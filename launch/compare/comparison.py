@@ -1,6 +1,6 @@
 """Comparisons as they are done: one by `launch compare`, several by `launch campaign`."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -121,11 +121,17 @@ def jobs_of(comparisons: Sequence[Comparison]) -> list[Job]:
     return list(found.values())
 
 
-def carry_out(root: Path, comparisons: Sequence[Comparison], queue: tuple[str, ...] | None) -> int:
+def carry_out(
+    root: Path,
+    comparisons: Sequence[Comparison],
+    queue: tuple[str, ...] | None,
+    whole: Callable[[], None] = lambda: None,
+) -> int:
     """Do what is left: on this machine or, where `queue` has options for it, in SLURM's queue.
 
     Args:
         root: the folder that holds theirs, for people.
+        whole: called at the start, when a seed of all is complete, and in the end.
 
     Returns:
         the exit status.
@@ -138,10 +144,18 @@ def carry_out(root: Path, comparisons: Sequence[Comparison], queue: tuple[str, .
             held.enter_context(held_folder.opened(one.folder, one.base))
             if one.results is not None:  # a mistake shows before anything runs
                 collected.keep(one.folder, (), (), one.results)
-        return _do(root, comparisons, queue)
+        whole()
+        status = _do(root, comparisons, queue, whole)
+        whole()
+        return status
 
 
-def _do(root: Path, comparisons: Sequence[Comparison], queue: tuple[str, ...] | None) -> int:
+def _do(
+    root: Path,
+    comparisons: Sequence[Comparison],
+    queue: tuple[str, ...] | None,
+    whole: Callable[[], None],
+) -> int:
     """The same, with their folders held."""
     if taken := sum(
         job_graph.take_offline(one.folder, one.base, one.arms, one.seeds) for one in comparisons
@@ -164,8 +178,11 @@ def _do(root: Path, comparisons: Sequence[Comparison], queue: tuple[str, ...] | 
                 held_folder.note_inputs(one.folder, one.base)
             own = job.product.is_relative_to(one.folder.root)
             if own and len(one.complete()) > complete[index]:
+                seeds = min(complete)
                 complete[index] += 1
                 one.conclude()
+                if seeds < min(complete) < len(one.seeds):  # the last is shown in the end
+                    whole()
 
     patience = max(one.base.bus.answer_deadline for one in comparisons)
     status = job_graph.do(jobs, [one.folder for one in comparisons], patience, finished)

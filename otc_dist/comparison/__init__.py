@@ -3,5 +3,6 @@
 `arms` names what is compared, `runs` makes one run of an arm, `scores` keeps its raw scores, which
 `collected` finds again. `judgement` says what a run is judged by, `score_statistics` and
 `intervals` compare arms with the reference, `conclusion`, `tables` and `report` present it.
-`mechanism` measures what a sampler selects, on joint data that no learner may see.
+`campaign` puts several comparisons together, beside what is published of them. `mechanism` measures
+what a sampler selects, on joint data that no learner may see.
 """

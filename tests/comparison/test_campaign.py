@@ -30,7 +30,9 @@ def file(tmp_path: Path, tiny_flags: tuple[str, ...], monkeypatch: pytest.Monkey
     path = tmp_path / "twice.toml"
     part = 'descriptions = ["3agent_hopper"]\narms = ["otc-embedding"]\n'
     part += 'set = ["sampling.name=otc", "offline.updates=1"]\n'  # the size is not for a quick look
-    path.write_text(f'seeds = "0..1"\n[parts.one]\n{part}[parts.two]\n{part}')
+    figure = 'title = "Figure"\nclaim = "two comparisons agree"\nparts = ["one"]\nalpha = true\n'
+    figure += 'better = ["otc-embedding"]\nthan = ["uniform"]\n'
+    path.write_text(f'seeds = "0..1"\n[[figures]]\n{figure}[parts.one]\n{part}[parts.two]\n{part}')
     return path
 
 
@@ -79,6 +81,17 @@ def test_a_campaign_is_gone_on_with_and_each_part_s_scores_are_those_of_its_comp
         assert job[0] == "uniform-null" and job[1]["processor_seconds"] > 0.5
         assert job[1]["processor"] == again["processor"]
         assert len({*(kept / part).glob("seed_0[01]/*.json")} - {spent}) == 2 * 4
+        assert (kept / file.name).read_bytes() == (out / file.name).read_bytes()
+    page = (out / "campaign.html").read_text()
+    assert said.endswith(f"all together: {out / 'campaign.html'}\n")
+    assert "two comparisons agree" in page and "2 seeds" in page
+    assert launch("--tables", kept, "--page", out.parent / "again.html") == 0
+    shown = capsys.readouterr().out
+    assert "one: gain, last, minus uniform" in shown and "two: gain, recommended" in shown
+    assert "here: Undecided: otc-embedding minus uniform" in shown
+    assert (out.parent / "again.html").read_text() == page.replace(
+        "Campaign: out", "Campaign: kept"
+    )
     assert launch(*command) == 0
     assert ", 0 of them to do\n" in (said := capsys.readouterr().out)
     assert all(f"{part}: 2 complete seeds" in said for part in PARTS)
@@ -92,8 +105,8 @@ def test_tables_are_those_of_every_comparison_and_need_the_raw_scores_only(
     assert main(["compare", "--tables", str(out / PARTS[0])]) == 0
     tables = capsys.readouterr().out
     assert launch("--tables", out) == 0
-    expected = f"{PARTS[0]}:\n{tables}\n{PARTS[1]}: no seed is complete yet\n\n"
-    assert capsys.readouterr().out == expected
+    expected = f"{PARTS[0]}:\n{tables}\n{PARTS[1]}: no seed is complete yet\n\nall together:\n"
+    assert capsys.readouterr().out.startswith(expected)
     with pytest.raises(UserError, match="not the folder of a campaign"):
         launch("--tables", out / PARTS[0])
 
@@ -213,6 +226,7 @@ def test_the_paper_s_first_table() -> None:
         (None, ("gone.toml",), "cannot read the campaign gone.toml: No such file"),
         (None, (), r"which campaign\? .* comes with the package: paper-table1"),
         (None, ("--tables", "a", "--seeds", "0"), "leave out --seeds"),
+        (None, ("a", "--page", "b.html"), "--page is made of what --tables shows: give both"),
         (None, ("a", "--dry-run", "--results", "b"), "leave out --results"),
         (None, ("a", "--status"), "--status needs --on slurm"),
         ('seeds = "', (), r"twice\.toml is not valid TOML"),
@@ -220,6 +234,9 @@ def test_the_paper_s_first_table() -> None:
         ("sedes = 1", (), r"twice\.toml: unknown key 'sedes'; did you mean 'seeds'"),
         ("[parts.x]\ndescriptions = []", (), r"twice\.toml: parts\.x\.descriptions: "),
         ("[parts.x]", (), r"parts\.x\.descriptions is missing: it has no default"),
+        ("[published]\nsource = 'x'", (), r"twice\.toml: published\.parts is missing"),
+        ("[published]\nsource = 'x'\nparts.one.x.uniform = [1]", (), r"published\.parts\.one"),
+        ("[[figures]]\ntitle = 'x'", (), r"twice\.toml: figures.* is missing"),
         ("arm = 'mine'", (), r"parts\.two\.arm must be a list in brackets, not 'mine'"),
         ("datsets = []", (), r"unknown key 'parts\.two\.datsets'; did you mean .*datasets"),
         ("datasets = ['medum']", (), r"twice\.toml: parts\.two: .*hopper-3x1/medum"),

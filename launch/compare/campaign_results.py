@@ -1,0 +1,74 @@
+"""What a campaign's folder shows: its page, and its tables as text."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from otc_dist.comparison import collected
+from otc_dist.comparison.campaign import found, page, tables, verdicts
+from otc_dist.comparison.campaign.found import Found
+from otc_dist.comparison.campaign.published import Published
+from otc_dist.comparison.campaign.verdicts import Verdict
+from otc_dist.system import durable
+from otc_dist.terminal.errors import UserError
+
+from ..plan import descriptions
+from .campaign_file import Campaign
+from .command import lines
+from .comparison import EPISODES
+
+PAGE = "campaign.html"
+
+
+@dataclass(frozen=True)
+class Results:
+    """Of one folder, by the campaigns' files that lie in it beside the scores.
+
+    Attributes:
+        folders: of all comparisons; `found` are those with scores.
+    """
+
+    root: Path
+    folders: Sequence[Path]
+    found: Sequence[Found]
+    published: Published | None
+    judged: Sequence[Verdict]
+
+    @classmethod
+    def read(cls, root: Path) -> "Results":
+        """Raises UserError: it is no campaign's folder, or a file in it is wrong."""
+        folders = found.folders(root)
+        campaigns = [Campaign.load(path) for path in sorted(root.glob("*.toml"))]
+        several = found.read(folders)
+        published = Published.together([one.published for one in campaigns if one.published])
+        figures = [figure for one in campaigns for figure in one.figures]
+        judged = [verdicts.judge(figure, several, published) for figure in figures]
+        return cls(root, folders, several, published, judged)
+
+    def text(self) -> Iterator[str]:
+        """The tables of every comparison; then those of all together, and what is reproduced."""
+        for folder in self.folders:
+            if collected.has_scores(folder):
+                yield from (f"{folder.name}:", *lines(collected.collect(folder)), "")
+            else:
+                yield from (f"{folder.name}: no seed is complete yet", "")
+        yield "all together:"
+        yield from tables.text(self.found, self.published)
+        if self.judged:
+            yield ""
+            yield from verdicts.lines(self.judged)
+
+    def page(self) -> str:
+        """The HTML document."""
+        quick = any(one.scores.episodes < EPISODES for one in self.found)
+        label = descriptions.QUICK_LABEL if quick else ""
+        title = f"Campaign: {self.root.name}"
+        return page.page(title, self.found, self.judged, self.published, label)
+
+
+def write(path: Path, content: bytes) -> None:
+    """Raises UserError if it cannot be written."""
+    try:
+        durable.write(path, content)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from None
