@@ -1,7 +1,10 @@
 """The numbers of the documentation are those that the committed raw scores give."""
 
 import itertools
+import json
 import re
+import runpy
+import shutil
 import statistics
 from collections.abc import Sequence
 from functools import cache
@@ -70,6 +73,36 @@ def test_why_it_harmed_is_told_in_the_measured_numbers() -> None:
         values = " | ".join(f"{value:,.0f}" for value in returns(run))
         alphas = " ".join(f"{told['agent_0']['alpha']:.2f}" for told in run.told)
         assert f"| {values} | {alphas} |" in page, arm
+
+
+def test_the_paper_s_page_is_what_its_raw_scores_give() -> None:
+    written = str(runpy.run_path(str(ROOT / "docs" / "paper.py"))["page"]())
+    assert (ROOT / "docs" / "paper.md").read_text() == written, "run `python docs/paper.py`"
+
+
+def test_the_paper_s_page_says_what_is_reproduced_as_soon_as_there_are_scores(
+    tmp_path: Path,
+) -> None:
+    """Of scores that lie here for another page, under the names that the campaign has."""
+    page = runpy.run_path(str(ROOT / "docs" / "paper.py"))["page"]
+    assert "Nothing of it has been run yet" in page(tmp_path)
+    assert page(tmp_path).count(" | Not run. |") == 9
+    one = tmp_path / "3agent_hopper-medium-replay-bcq"
+    shutil.copytree(ROOT / "results/tuning/td3bc-hopper", one)
+    for arm in ("paper-embedding", "paper-value"):
+        for path in one.glob("seed_*/uniform.json"):
+            scores = json.loads(path.read_text()) | {"arm": arm}
+            (path.parent / f"{arm}.json").write_text(json.dumps(scores))
+    job = {"processor_seconds": 7200.0, "processor": "any"}
+    (one / "seed_20" / "spent.json").write_text(json.dumps({"uniform": job, "pi_0": job}))
+    shutil.copy(ROOT / "launch/campaigns/paper-table1.toml", tmp_path)
+    said = page(tmp_path)
+    assert "Complete so far: 5 to 5 seeds of 1 comparisons, in 4 hours of one core." in said
+    assert said.count(" | Not run. |") == 8
+    assert re.search(
+        r"\| Table 1 and Figure 3: BCQ \| .* \| Not reproduced: paper-embedding minus", said
+    )
+    assert re.search(r"^hopper-3x1/medium-replay +2\.7 ± 26\.3 +2\.7 ± 26\.3", said, re.M)
 
 
 def said(page: str) -> str:

@@ -53,6 +53,10 @@ class Results:
             else:
                 yield from (f"{folder.name}: no seed is complete yet", "")
         yield "all together:"
+        yield from self.together()
+
+    def together(self) -> Iterator[str]:
+        """The tables of all together, and what is reproduced."""
         yield from tables.text(self.found, self.published)
         if self.judged:
             yield ""

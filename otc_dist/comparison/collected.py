@@ -12,7 +12,15 @@ from pathlib import Path
 
 from otc_dist.comparison import spent
 from otc_dist.comparison.arms import KNOWN, REFERENCE
-from otc_dist.comparison.scores import NO_RUNS, OFFLINE, SPENT, ComparisonFolder, Run, to_json
+from otc_dist.comparison.scores import (
+    NO_RUNS,
+    OFFLINE,
+    SPENT,
+    ComparisonFolder,
+    Run,
+    compact,
+    to_json,
+)
 from otc_dist.envs import registry
 from otc_dist.run.folder import RunFolder
 from otc_dist.system import durable
@@ -86,7 +94,7 @@ def has_scores(root: Path) -> bool:
 
 def keep(folder: ComparisonFolder, arms: Iterable[str], seeds: Iterable[int], root: Path) -> None:
     """Copy the description, the raw scores of complete seeds and what they took to a folder that is
-    kept.
+    kept, which is to be small: a field a line.
 
     Raises:
         UserError: it is of another description, or cannot be written.
@@ -95,8 +103,8 @@ def keep(folder: ComparisonFolder, arms: Iterable[str], seeds: Iterable[int], ro
         contents = {root / "description.toml": folder.description.read_bytes()}
         for seed in seeds:
             into = root / f"seed_{seed:02d}"
-            contents[into / OFFLINE] = folder.offline(seed).read_bytes()
-            contents |= {into / f"{arm}.json": folder.run(seed, arm).read_bytes() for arm in arms}
+            contents[into / OFFLINE] = compact(folder.offline(seed))
+            contents |= {into / f"{arm}.json": compact(folder.run(seed, arm)) for arm in arms}
             if took := spent.of_seed(folder, seed):
                 contents[into / SPENT] = to_json(took)
         for target, content in contents.items():

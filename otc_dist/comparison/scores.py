@@ -184,6 +184,19 @@ def to_json(fields: Mapping[str, Any]) -> bytes:
     return (json.dumps(_without_nan(fields), indent=1) + "\n").encode()
 
 
+def compact(path: Path) -> bytes:
+    """The content of a file that `write_json` made, in two thirds of its bytes: a field a line.
+
+    Raises:
+        UserError: as `read_json`.
+    """
+    lines = (
+        f'"{key}":{json.dumps(item, separators=(",", ":"))}'
+        for key, item in read_json(path).items()
+    )
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
+
+
 def _without_nan(value: object) -> object:
     """JSON knows no NaN: None stands for it."""
     if isinstance(value, dict):

@@ -49,6 +49,11 @@ def read(path: Path) -> Spent | None:
         raise UserError(f"{error}; delete it") from None
 
 
+def kept(path: Path) -> dict[str, Spent]:
+    """Job -> what it took, as `SPENT` holds it. Raises UserError if it is damaged."""
+    return records.read_json(dict[str, Spent], path)
+
+
 def of_seed(folder: ComparisonFolder, seed: int) -> dict[str, dict[str, object]]:
     """Job -> what it took, for `SPENT`, of all jobs of a seed that have said it.
 

@@ -9,7 +9,7 @@ import pytest
 from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison import collected
 from otc_dist.comparison.arms import Arms
-from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.launch.compare import command, held_folder, job_graph, mechanism
@@ -153,6 +153,9 @@ def test_tables_need_the_raw_scores_only(
         "description.toml",
         *(f"seed_0{seed}/{arm}.json" for seed in (0, 1) for arm in arms),
     }
+    one, copy = finished.run(0, "uniform"), kept / "seed_00" / "uniform.json"
+    assert Run.read(copy) == Run.read(one)  # to the bit
+    assert copy.stat().st_size < 0.8 * one.stat().st_size
     shown = capsys.readouterr().out
     monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "no data"))
     for folder in (kept, finished.root):

@@ -19,7 +19,7 @@ RULE = (
     "A claim that one arm is better than another is judged by their difference at the last"
     " deployment, seed by seed, the mean over the data sets: in normalised score, or in percent of"
     " pi_0's return where a task has none. Reproduced: both 95% intervals (bootstrap, Student's t)"
-    f" are above 0, and the mean is above both of the null arm's difference from {REFERENCE}. Not"
+    f" are above 0, and the mean is above both of the null arm minus {REFERENCE}. Not"
     " reproduced: both are below 0; or, where the gains of both arms are published, both are below"
     " what these would be of our pi_0's return. Undecided: all else. A figure is reproduced if all"
     " of its claims are, and not reproduced if one of them is not. Where gains are published, data"
