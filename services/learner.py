@@ -10,26 +10,23 @@ from typing import TYPE_CHECKING
 
 from otc_dist.bus.history import History
 from otc_dist.bus.lockstep import GaveUpError, LearnerLockstep
-from otc_dist.bus.messages import Action, Observation, Status
+from otc_dist.bus.messages import Action, Observation
 from otc_dist.bus.session import Session
-from otc_dist.bus.status import Heartbeat
 from otc_dist.bus.wire import Rejections
 from otc_dist.datasets import inputs
 from otc_dist.description import user_code
-from otc_dist.description.distances import SAMPLER_METRICS
 from otc_dist.envs import registry
 from otc_dist.spec import AgentSpec
 from otc_dist.terminal.errors import UserError, unknown
 
 from .gathering import Gathering
 from .learner_bus import open_bus
-from .metrics import MetricsFile
+from .learner_report import LearnerReport
 from .process import FailureError, Run, check_endpoints, parser, serve
 from .recommender import Recommender
 
 if TYPE_CHECKING:
     from otc_dist.learner.learner import Learner
-    from otc_dist.learner.trainer import Progress
 
 log = logging.getLogger(__name__)
 
@@ -45,8 +42,8 @@ class LearnerService:
     ) -> None:
         self._run, self._agent, self._name = run, agent, agent.name
         self._folder = run.folder
-        self._state = Status(agent.name)
-        self.heartbeat = Heartbeat(session, run.keys, agent.name, rejections, lambda: self._state)
+        self._report = LearnerReport(session, run.keys, run.folder, agent.name, rejections)
+        self.heartbeat = self._report.heartbeat
         self._lockstep = LearnerLockstep(session, run.keys, agent, run.copies, rejections)
         copies, deadline = run.description.env.copies, run.description.bus.answer_deadline
         self._history = History(session, run.keys, agent, copies, deadline, rejections)
@@ -58,8 +55,6 @@ class LearnerService:
         self._gathers = run.description.deployment.rate_hz is None
         self._recommender = Recommender(run, agent.name, self._history.fetch)
         self._last = run.description.deployment.count  # no tuning follows what comes after it
-        self._metrics = MetricsFile(self._folder.metrics(agent.name))
-        self._sampler_metrics: dict[str, float] = {}  # by the sampler, of the newest deployment
         self._buffer_complete = True  # whether the learner's buffer holds D_1 .. D_tuned
         self._answered: Action | None = None
         session.declare_alive(run.keys.alive(agent.name))
@@ -121,7 +116,7 @@ class LearnerService:
 
     def _pretrain(self) -> None:
         offline = self._folder.offline_checkpoint(self._name)
-        self._learner.pretrain(self._report, lambda: self._learner.save(offline))
+        self._learner.pretrain(self._report.trained, lambda: self._learner.save(offline))
         self._trained()
         offline.unlink(missing_ok=True)
 
@@ -204,9 +199,7 @@ class LearnerService:
         if not self._buffer_complete:
             own, fetched = (self._own.start, self._own.stop), []
             for j in range(1, k):  # which may take long: it is seen to get further
-                self._state = Status(
-                    self._name, "starting", k, j, k - 1, metrics=self._sampler_metrics
-                )
+                self._report.enter("starting", k, j, k - 1)
                 fetched.append(self._history.fetch(j, *own))
             self._learner.restore(fetched)
             self._buffer_complete = True
@@ -220,7 +213,7 @@ class LearnerService:
                 log.warning("%s; it and what follows are made again", error)
                 self._load(best)
                 return
-        self._learner.tune(k, data, self._report)
+        self._learner.tune(k, data, self._report.trained)
         self._trained()
         self._ready()
 
@@ -230,8 +223,7 @@ class LearnerService:
         self.heartbeat.publish()
 
     def _ready(self) -> None:
-        tuned = max(self._learner.tuned, 0)
-        self._state = Status(self._name, "ready", tuned, metrics=self._sampler_metrics)
+        self._report.enter("ready", max(self._learner.tuned, 0))
         self.heartbeat.publish()
 
     def _check_host(self) -> None:
@@ -241,30 +233,11 @@ class LearnerService:
 
     def _leave(self) -> None:
         """Answer once more if asked, until the env host says that it has heard everybody."""
-        self._state = Status(self._name, "done", self._learner.tuned, metrics=self._sampler_metrics)
+        self._report.enter("done", self._learner.tuned)
         while self._lockstep.host_phase != "done" and self._lockstep.host_silence() < _FAREWELL:
             question = self._lockstep.question(_LOOK / 5)
             if question is not None:
                 self._respond(question)
-
-    def _report(self, progress: "Progress") -> None:
-        self._metrics.write(progress)
-        sampler_metrics = {
-            name: progress.metrics[name] for name in SAMPLER_METRICS if name in progress.metrics
-        }
-        if progress.phase == "tuning" and sampler_metrics:
-            self._sampler_metrics = sampler_metrics
-        before = self._state
-        self._state = Status(
-            self._name,
-            progress.phase,
-            progress.deployment,
-            progress.update,
-            progress.updates,
-            metrics={**self._sampler_metrics, **progress.metrics},
-        )
-        if before.phase != progress.phase or progress.update == progress.updates:
-            self.heartbeat.publish()
 
 
 def main() -> None:
@@ -295,8 +268,8 @@ def main() -> None:
         run.check(inputs.data(run.description, [agent.name]) | inputs.code(run.description))
         rejections = Rejections()
         with open_bus(run, agent.name, arguments, rejections) as session:
-            sampler_metrics = (FailureError, GaveUpError)
-            with user_code.answers_for(*run.description.parts, but=sampler_metrics):
+            own = (FailureError, GaveUpError)
+            with user_code.answers_for(*run.description.parts, but=own):
                 service = LearnerService(run, agent, session, rejections)
                 with service.heartbeat:
                     service.serve()
