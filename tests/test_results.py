@@ -88,7 +88,8 @@ def test_the_paper_s_page_says_what_is_reproduced_as_soon_as_there_are_scores(
     assert "Nothing of it has been run yet" in page(tmp_path)
     assert page(tmp_path).count(" | Not run. |") == 9
     one = tmp_path / "3agent_hopper-medium-replay-bcq"
-    shutil.copytree(ROOT / "results/tuning/td3bc-hopper", one)
+    later = shutil.ignore_patterns("seed_2[5-9]")
+    shutil.copytree(ROOT / "results/tuning/td3bc-hopper", one, ignore=later)
     for arm in ("paper-embedding", "paper-value"):
         for path in one.glob("seed_*/uniform.json"):
             scores = json.loads(path.read_text()) | {"arm": arm}
