@@ -71,7 +71,12 @@ def beside_published(found: Sequence[Found], published: Published) -> Rows:
                 _change(judge, one, arm) if one else tables.NOTHING for one, arm, judge in of_row
             ]
             rows.append([dataset, *cells])
-            rows.append(["published", *(_printed(published, dataset, *one) for one in columns)])
+            rows.append(
+                [
+                    "published",
+                    *(_printed(published, dataset, part, arm) for part, arm, _ in columns),
+                ]
+            )
     return rows
 
 
@@ -105,9 +110,9 @@ def _arms(several: Sequence[Found]) -> list[str]:
     return sorted(names, key=lambda name: name == NULL)
 
 
-def _printed(published: Published, dataset: str, part: str, arm: str, judge: Judge) -> str:
+def _printed(published: Published, dataset: str, part: str, arm: str) -> str:
     found = published.of(part, dataset).get(arm)
-    return "" if found is None or judge is not last else plus_minus(*found)
+    return "" if found is None else plus_minus(*found)
 
 
 def _each(
