@@ -48,7 +48,8 @@ TABLE_2 = """\
 
 `python benchmarks/update.py`, in one run, on Hopper's sizes: compiled updates, OTC by rank, the
 paper's rule, each in turns with the others. OTC's share is larger here, of an update that is 15
-times shorter; by its own defaults OTC adds 8% at most ([speed](results.md#speed)).
+times shorter; by its own defaults OTC adds 8% at most ([speed](results.md#speed)). Later code has
+shorter updates of BCQ; since then the three have been measured on a busy machine only, in vain.
 """
 
 
