@@ -89,8 +89,7 @@ def deployment(learner: "Learner", online: Transitions) -> Callable[[int], tuple
     """Turns of `Learner.tune`: milliseconds of what it does before the updates of a deployment
     (merging, fitting and scoring), and milliseconds an update as `tuning` has it.
     """
-    gpu = learner.description.engine.name == "cuda-graph"
-    clock = time.perf_counter if gpu else time.process_time
+    clock = _clock(learner)
 
     def turn(number: int) -> tuple[float, float]:
         marks: dict[int, float] = {}
@@ -104,6 +103,27 @@ def deployment(learner: "Learner", online: Transitions) -> Callable[[int], tuple
         return (marks[0] - start) * 1e3, updates
 
     return turn
+
+
+def at_once(learners: "Sequence[Learner]") -> Turn:
+    """Turns of `train_together`, UPDATES offline updates of several seeds: what one seed's take."""
+    from otc_dist.learner.together import train_together
+
+    clock = _clock(learners[0])
+
+    def turn(number: int) -> float:
+        for learner in learners:
+            learner.take_over(learner.policy[1], 0)
+        start = clock()
+        train_together(learners, lambda progress: None, lambda: None)
+        return (clock() - start) * 1e3 / UPDATES / len(learners)
+
+    return turn
+
+
+def _clock(learner: "Learner") -> Callable[[], float]:
+    gpu = learner.description.engine.name == "cuda-graph"
+    return time.perf_counter if gpu else time.process_time
 
 
 def sections() -> dict[str, type[AlgorithmSection]]:

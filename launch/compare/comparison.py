@@ -47,7 +47,7 @@ class Comparison:
         Raises:
             UserError: a finished run is of another description, or damaged.
         """
-        jobs = job_graph.comparison(self.folder, self.base, self.arms, seeds)
+        jobs = job_graph.comparison(self.folder, self.base, self.arms, seeds, self.seeds)
         if not self.name:
             return jobs
         return [replace(job, name=f"{self.name}, {job.name}") for job in jobs]

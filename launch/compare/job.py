@@ -1,7 +1,8 @@
-"""`python -m otc_dist.launch.compare.job FOLDER SEED OUTPUT PIECE ...`: a process of a comparison.
+"""`python -m otc_dist.launch.compare.job FOLDER SEEDS OUTPUT PIECE ...`: one process.
 
 compile MARK                     compile what offline training runs, and make the file MARK
-offline AGENT [ASSIGNMENT ...]   train pi_0 of one agent, or of an arm that has its own
+offline AGENT [ASSIGNMENT ...]   train pi_0 of one agent, or of an arm that has its own; alone
+                                 this is done for several seeds
 pi_0 [ASSIGNMENT ...]            evaluate the team pi_0
 arm NAME ASSIGNMENT ...          tune and evaluate an arm
 
@@ -28,26 +29,31 @@ from ..supervise.jobs import ProgressLines
 def main(argv: list[str]) -> int:
     """Do one piece."""
     torch.set_num_threads(1)
-    path, seed, output, piece, *rest = argv
+    path, seeds, output, piece, *rest = argv
     folder = ComparisonFolder(Path(path))
     base = Description.load(folder.description).trusted()
     arms.trust(rest)
     with user_code.answers_for(*base.parts, *(text.partition("=")[2] for text in rest)):
-        whole = _do(folder, base, int(seed), piece, rest)
+        whole = _do(folder, base, arms.parse_seeds(seeds), piece, rest)
     if whole:
         Spent.so_far().write(spent.beside(Path(output)))
     return 0
 
 
 def _do(
-    folder: ComparisonFolder, base: Description, seed: int, piece: str, rest: list[str]
+    folder: ComparisonFolder,
+    base: Description,
+    seeds: tuple[int, ...],
+    piece: str,
+    rest: list[str],
 ) -> bool:
     """Returns whether this process has done all of it."""
+    seed = seeds[0]
     if piece == "compile":
         compile_updates(base, fits=DISTANCES)
         Path(rest[0]).touch()
     elif piece == "offline":
-        return runs.train_offline(folder, base, seed, rest[0], ProgressLines(), rest[1:])
+        return runs.train_offline(folder, base, seeds, rest[0], ProgressLines(), rest[1:])
     elif piece == "pi_0":
         runs.evaluate_offline(folder, base, seed, rest)
     else:

@@ -4,6 +4,7 @@ import hashlib
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import starmap
 from pathlib import Path
 
 from otc_dist.comparison import offline_cache
@@ -21,6 +22,7 @@ from ..supervise.processes import MISTAKE
 from . import cluster
 
 ANALYSIS = 20.0  # seconds that an analysis takes a deployment
+TOGETHER = 10  # seeds at most whose offline updates are made at once: each holds the data
 MODULE = (sys.executable, "-m")
 
 
@@ -96,29 +98,62 @@ def _compiled_first(folder: ComparisonFolder, base: Description, jobs: list[Job]
     return [data, code, *(waiting.get(job.name, job) for job in jobs[1:])]
 
 
+def _together(
+    folder: ComparisonFolder,
+    base: Description,
+    seed: int,
+    seeds: Sequence[int],
+    agent: str,
+    assignments: Sequence[str],
+) -> tuple[int, ...]:
+    """The seeds, this one among them, whose pi_0 of an agent one process trains: on a GPU, which
+    the small updates of one leave idle, of each ten those that are missing; else it alone.
+
+    Args:
+        seeds: all that are compared.
+    """
+
+    def missing(one: int) -> bool:
+        files = offline_files(folder, base, describe(base, assignments, one))
+        return not files.checkpoint(agent, 0).exists()
+
+    if base.engine.name != "cuda-graph":
+        return (seed,)
+    if describe(base, assignments, seed).offline.rows != "all":  # others differ by the seed
+        return (seed,)
+    ten = [one for one in seeds if one // TOGETHER == seed // TOGETHER]
+    found = tuple(one for one in ten if missing(one))
+    return found if seed in found else (seed,)
+
+
 def _training(
     folder: ComparisonFolder,
     base: Description,
     seed: int,
+    seeds: Sequence[int],
     data: Job,
     assignments: Sequence[str] = (),
     owner: str = "",
 ) -> list[Job]:
-    """Offline training of every agent of a seed: for all arms, or for `owner` with its own pi_0."""
-    description = describe(base, assignments, seed)
-    files = offline_files(folder, base, description)
-    seconds = forecast.offline(description) + forecast.fits(base)
+    """Offline training of every agent of a seed: for all arms, or for `owner` with its own pi_0.
+
+    Where that is one of several seeds' at once, the jobs are theirs as well.
+    """
     jobs = []
     for agent in registry.team_spec(base.env.id).names:
-        output = folder.output(seed, f"offline_{agent}{owner and f'_{owner}'}")
+        trained = _together(folder, base, seed, seeds, agent, assignments)
+        last, listed = trained[-1], ",".join(map(str, trained))  # its pi_0 is written last
+        description = describe(base, assignments, last)
+        output = folder.output(last, f"offline_{agent}{owner and f'_{owner}'}")
         jobs.append(
             Job(
-                f"seed {seed}, {agent} offline{owner and f' for {owner}'}",
-                _piece(folder, seed, output, "offline", agent, *assignments),
-                files.checkpoint(agent, 0),
+                f"seed{'s' * (len(trained) > 1)} {listed}, {agent}"
+                f" offline{owner and f' for {owner}'}",
+                _piece(folder, listed, output, "offline", agent, *assignments),
+                offline_files(folder, base, description).checkpoint(agent, 0),
                 output,
                 (data.product,),
-                seconds,
+                forecast.offline(description, len(trained)) + len(trained) * forecast.fits(base),
             )
         )
     return jobs
@@ -128,12 +163,13 @@ def _trained_and_evaluated(
     folder: ComparisonFolder,
     base: Description,
     seed: int,
+    seeds: Sequence[int],
     data: Job,
     assignments: Sequence[str] = (),
     owner: str = "",
 ) -> list[Job]:
     """The same, and the evaluation of pi_0 last."""
-    training = _training(folder, base, seed, data, assignments, owner)
+    training = _training(folder, base, seed, seeds, data, assignments, owner)
     files = offline_files(folder, base, describe(base, assignments, seed))
     output = folder.output(seed, f"pi_0{owner and f'_{owner}'}")
     evaluation = Job(
@@ -155,39 +191,50 @@ def take_offline(
     Raises:
         UserError: the environment or the code that they name cannot be loaded.
     """
-    agents, taken = registry.team_spec(base.env.id).names, 0
+    agents = registry.team_spec(base.env.id).names
+    missing: dict[Path, tuple[Description, str, Path, tuple[int, ...]]] = {}
     for seed in seeds:
         for assignments in dict.fromkeys([(), *arms.values()]):
             description = describe(base, assignments, seed)
             files = offline_files(folder, base, description)
             for agent in agents:
-                wanted = files.checkpoint(agent, 0)
-                if not wanted.exists():
-                    taken += offline_cache.fetch(description, agent, wanted)
-    return taken
+                if not (wanted := files.checkpoint(agent, 0)).exists():
+                    trained = _together(folder, base, seed, seeds, agent, assignments)
+                    missing.setdefault(wanted, (description, agent, wanted, trained))
+    # None is taken before it is known which would be trained with which.
+    return sum(starmap(offline_cache.fetch, missing.values()))
 
 
 def comparison(
-    folder: ComparisonFolder, base: Description, arms: Arms, seeds: Sequence[int]
+    folder: ComparisonFolder,
+    base: Description,
+    arms: Arms,
+    seeds: Sequence[int],
+    every: Sequence[int] = (),
 ) -> list[Job]:
     """All jobs, seed by seed, so that what is done are complete seeds.
+
+    Args:
+        every: all seeds that are compared, if those are some of them.
 
     Raises:
         UserError: a finished run is of another description, or damaged.
     """
-    data = _data(folder, base)
+    data, every = _data(folder, base), every or seeds
     jobs = [data]
     for seed in seeds:
         # By where pi_0 lies: several arms may have one of their own together.
-        offline = {folder.seed(seed).root: _trained_and_evaluated(folder, base, seed, data)}
-        jobs += offline[folder.seed(seed).root]
+        shared = _trained_and_evaluated(folder, base, seed, every, data)
+        offline = {folder.seed(seed).root: shared}
+        jobs += shared
         for arm, assignments in arms.items():
             description = describe(base, assignments, seed)
             folder.finished(seed, arm, description.digest())
             root = offline_files(folder, base, description).root
             if root not in offline:
-                offline[root] = _trained_and_evaluated(folder, base, seed, data, assignments, arm)
-                jobs += offline[root]
+                own = _trained_and_evaluated(folder, base, seed, every, data, assignments, arm)
+                jobs += own
+                offline[root] = own
             output = folder.output(seed, arm)
             jobs.append(
                 Job(
@@ -199,7 +246,7 @@ def comparison(
                     _tuning_seconds(description, ANALYSIS if arm in ANALYSES else 0.0),
                 )
             )
-    return _compiled_first(folder, base, jobs)
+    return _compiled_first(folder, base, list(dict.fromkeys(jobs)))
 
 
 def mechanism(
@@ -211,10 +258,10 @@ def mechanism(
 ) -> list[Job]:
     """Offline training where it is missing, and the mechanism check `name` of every seed."""
     data = _data(folder, base)
-    training = {seed: _training(folder, base, seed, data) for seed in seeds}
+    training = {seed: _training(folder, base, seed, seeds, data) for seed in seeds}
     jobs = [
         data,
-        *(job for of_seed in training.values() for job in of_seed),
+        *dict.fromkeys(job for of_seed in training.values() for job in of_seed),
         *(
             Job(
                 f"seed {seed}, mechanism",
@@ -232,9 +279,11 @@ def mechanism(
     return _compiled_first(folder, base, jobs)
 
 
-def _piece(folder: ComparisonFolder, seed: int, output: Path, *piece: str) -> tuple[str, ...]:
+def _piece(
+    folder: ComparisonFolder, seeds: int | str, output: Path, *piece: str
+) -> tuple[str, ...]:
     job = "otc_dist.launch.compare.job"
-    return (*MODULE, job, str(folder.root), str(seed), str(output), *piece)
+    return (*MODULE, job, str(folder.root), str(seeds), str(output), *piece)
 
 
 def _tuning_seconds(description: Description, analysis: float) -> float:

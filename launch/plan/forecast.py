@@ -28,9 +28,13 @@ class Part:
     seconds: float
 
 
-def offline(description: Description) -> float:
-    """Seconds of one core for one agent's pi_0, without the embedding."""
-    return _trained(description, description.offline.updates, selection=0.0)
+def offline(description: Description, seeds: int = 1) -> float:
+    """Seconds of one core for one agent's pi_0, without the embedding.
+
+    Args:
+        seeds: whose updates are made at once, as if they took no longer than one's: a guess.
+    """
+    return _trained(description, description.offline.updates, selection=0.0, seeds=seeds)
 
 
 def fit(description: Description) -> Part:
@@ -82,10 +86,10 @@ def judging(description: Description, team: TeamSpec) -> float:
     return rounds * team.max_episode_steps * ACT / 1000
 
 
-def _trained(description: Description, updates: int, selection: float) -> float:
+def _trained(description: Description, updates: int, selection: float, seeds: int = 1) -> float:
     algorithm, engine = description.algorithm, description.engine.name
     each = (algorithm.update + selection) * ENGINES[engine]
-    return (updates * each + algorithm.afterwards(engine)) / 1000
+    return (updates * each + seeds * algorithm.afterwards(engine)) / 1000
 
 
 def parts(description: Description, team: TeamSpec, here: int) -> list[Part]:

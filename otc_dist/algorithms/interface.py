@@ -83,7 +83,8 @@ class Algorithm(Protocol):
     ) -> tuple[State, Tensor]:
         """One gradient update: the new state, and the values of `metric_names`.
 
-        Keys of the state that are not the algorithm's are passed on.
+        Keys of the state that are not the algorithm's are passed on. `torch.func.vmap` may map it
+        over the states of several seeds.
 
         Args:
             batch: transitions (B) to learn values from.

@@ -15,6 +15,7 @@ import os
 import platform
 import secrets
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -35,15 +36,18 @@ UNFINISHED = 3600.0  # seconds, after which nobody is writing a file any more
 log = logging.getLogger(__name__)
 
 
-def fetch(description: Description, agent: str, wanted: Path) -> bool:
+def fetch(description: Description, agent: str, wanted: Path, together: Sequence[int] = ()) -> bool:
     """Put the pi_0 of a description's agent at `wanted`, if it is in the cache and sound.
+
+    Args:
+        together: the seeds whose offline updates would be made at once, its own among them.
 
     Raises:
         UserError: the environment or the code that a description names cannot be loaded.
     """
     if not _data(description, agent).exists():
         return False
-    entry, new = _entry(description, agent), wanted.with_suffix(".fetched")
+    entry, new = _entry(description, agent, together), wanted.with_suffix(".fetched")
     try:
         content = entry.read_bytes()
         durable.write(new, content)  # what is checked is what is used, whoever replaces the entry
@@ -61,14 +65,17 @@ def fetch(description: Description, agent: str, wanted: Path) -> bool:
     return True
 
 
-def keep(description: Description, agent: str, made: Path) -> None:
+def keep(description: Description, agent: str, made: Path, together: Sequence[int] = ()) -> None:
     """Put the pi_0 that a description's agent has at `made` into the cache.
+
+    Args:
+        together: the seeds whose offline updates were made at once; none: its own alone.
 
     Raises:
         UserError: as `fetch`.
     """
     try:
-        entry = _entry(description, agent)
+        entry = _entry(description, agent, together)
         entry.parent.mkdir(parents=True, exist_ok=True)
         suffix = f".{secrets.token_hex(8)}"  # others may be writing the same entry
         with durable.writing(entry, suffix, lasting=False) as file:
@@ -102,12 +109,13 @@ def _check(path: Path, description: Description, agent: str) -> None:
         raise UserError("it is another policy's")
 
 
-def _entry(description: Description, agent: str) -> Path:
+def _entry(description: Description, agent: str, together: Sequence[int]) -> Path:
     """Where the pi_0 of a description's agent lies, or would lie."""
     depends_on = {
         "agent": agent,
         "offline": description.offline_digest(),
         "data": _digest(path := _data(description, agent), path.stat().st_mtime_ns),
+        "together": sorted({description.seed, *together}),
         "own code": {**inputs.sources(description), **inputs.code(description)},
         **surroundings(),
     }

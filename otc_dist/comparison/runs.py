@@ -7,6 +7,7 @@ All brains of a run live in one process here. Environment seeds and acting noise
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,6 +31,7 @@ from otc_dist.description.distances import DISTANCES
 from otc_dist.envs import registry
 from otc_dist.learner import team
 from otc_dist.learner.learner import Learner
+from otc_dist.learner.together import train_together
 from otc_dist.learner.trainer import Progress
 from otc_dist.otc.samplers.interface import Sampler
 from otc_dist.run.exploration import Schedule
@@ -46,7 +48,7 @@ OnProgress = Callable[[float, str], None]  # share of the job that is done, and 
 def train_offline(
     folder: ComparisonFolder,
     base: Description,
-    seed: int,
+    seeds: Sequence[int],
     agent: str,
     on_progress: OnProgress,
     assignments: Sequence[str] = (),
@@ -58,24 +60,38 @@ def train_offline(
         whether there was no such checkpoint, so that this process did all of it.
 
     Args:
+        seeds: several make their updates at once; the pi_0 of the last of them is written last.
         assignments: those of an arm that has its own pi_0; none: the one that all others share.
     """
-    description = describe(base, assignments, seed)
-    files = offline_files(folder, base, description)
-    learner = _learner(description, agent, fits=DISTANCES)
-    unfinished = files.offline_checkpoint(agent)
-    if begun := unfinished.exists():
-        learner.load(unfinished)
-    offline = description.offline.updates
+    work: list[tuple[Learner, RunFolder]] = []
+    for seed in seeds:
+        description = describe(base, assignments, seed)
+        files = offline_files(folder, base, description)
+        if not files.checkpoint(agent, 0).exists():  # of several: before an interruption
+            work.append((_learner(description, agent, fits=DISTANCES), files))
+    begun = len(work) < len(seeds)
+    for learner, files in work:
+        if (unfinished := files.offline_checkpoint(agent)).exists():
+            learner.load(unfinished)
+            begun = True
+    offline = base.with_assignments(*assignments).offline.updates
 
     def report(progress: Progress) -> None:
         share = progress.update / offline if progress.phase == "offline" and offline else 1.0
         on_progress(share, f"{progress.phase} {progress.update:,} of {progress.updates:,}")
 
-    learner.pretrain(report, lambda: learner.save(unfinished))
-    learner.save(made := files.checkpoint(agent, 0))
-    unfinished.unlink(missing_ok=True)
-    offline_cache.keep(description, agent, made)
+    def save() -> None:
+        for learner, files in work:
+            learner.save(files.offline_checkpoint(agent))
+
+    if len(seeds) > 1:
+        train_together([learner for learner, _ in work], report, save)
+    for learner, files in work:
+        unfinished, made = files.offline_checkpoint(agent), files.checkpoint(agent, 0)
+        learner.pretrain(report, partial(learner.save, unfinished))
+        learner.save(made)
+        unfinished.unlink(missing_ok=True)
+        offline_cache.keep(learner.description, agent, made, learner.together)
     return not begun
 
 
@@ -107,6 +123,7 @@ def run_arm(
     files = offline_files(folder, base, description)
     analysis = analyses.create(arm, description) if arm in ANALYSES else None
     learners = restored(files, description, analysis)
+    together = sorted({seed for learner in learners for seed in learner.together})
     first = Evaluation(**read_json(files.root / OFFLINE))
     if first.policies != _digests(learners):
         raise UserError(f"{files.root / OFFLINE} is of other policies; delete it")
@@ -136,6 +153,7 @@ def run_arm(
         description=description.digest(),
         evaluations=evaluations,
         offline=description.offline_digest(),
+        together=together,
         analysis=arm if analysis is not None else "",
         told=tunings,
         measured=measured,

@@ -15,6 +15,7 @@ from otc_dist.system import durable, records
 from otc_dist.terminal.errors import UserError
 
 FORMAT = 2
+LATER = {"together"}  # what earlier files of this format lack
 OFFLINE = "pi_0.json"  # greedy returns of a seed's offline policies
 SPENT = "spent.json"  # what the jobs of a seed took, where raw scores are kept
 NO_RUNS = (OFFLINE, SPENT)  # the files of a seed's folder that are no run's
@@ -42,6 +43,8 @@ class Run:
     """All that one run of an arm showed. `evaluations` are of pi_0 .. pi_K, in order.
 
     Attributes:
+        together: the seeds with which the offline updates of its pi_0 were made at once, which
+            rounds otherwise than alone; empty: alone.
         told: of each deployment 1..K, agent -> what its sampler gave before the updates after it,
             like Eq. 4's alpha and similarity; empty where it gives nothing.
         measured: what each deployment 1..K said of the policies pi_{k-1} that acted in it, over the
@@ -56,6 +59,7 @@ class Run:
     description: str  # digest of the run's description
     evaluations: list[Evaluation]
     offline: str = ""  # digest of what its pi_0 depends on
+    together: list[int] = field(default_factory=list)
     analysis: str = ""  # what an arm looks at that no learner may see; empty of any other
     told: list[dict[str, SamplerMetrics]] = field(default_factory=list)
     measured: list[Measured | None] = field(default_factory=list)
@@ -81,7 +85,8 @@ class Run:
                 f"{path} has format {version!r:.60}; this version reads {FORMAT}: delete it"
             )
         try:
-            if missing := [one.name for one in fields(cls) if one.name not in found]:
+            there = LATER | found.keys()
+            if missing := [one.name for one in fields(cls) if one.name not in there]:
                 raise UserError(f"{path} is damaged: it has no {missing[0]}")
             run = records.read_json(cls, path)
             run._check()

@@ -31,6 +31,7 @@ class CheckpointMetadata:
         offline_updates: updates made offline.
         tuned: k of the policy pi_k, or -1 while offline training is unfinished.
         alpha, similarity: of the newest deployment (Eq. 4).
+        together: the seeds whose offline updates were made at once; empty: each for itself.
     """
 
     agent: str
@@ -40,6 +41,7 @@ class CheckpointMetadata:
     tuned: Annotated[int, Field(ge=-1)]
     alpha: float
     similarity: float
+    together: tuple[int, ...] = ()
 
 
 def digest(arrays: Mapping[str, NDArray[np.generic]]) -> str:

@@ -24,7 +24,15 @@ from otc_dist.learner import checkpoint
 from otc_dist.learner.actor import ActingPhase, Actor
 from otc_dist.learner.experience import Experience
 from otc_dist.learner.fits import Fits
-from otc_dist.learner.trainer import Phase, Progress, Report, Trainer, fused_update, improvements
+from otc_dist.learner.trainer import (
+    Phase,
+    Progress,
+    Report,
+    Trainer,
+    Work,
+    fused_update,
+    improvements,
+)
 from otc_dist.otc import create_sampler
 from otc_dist.otc.alpha import Alpha
 from otc_dist.otc.distances.interface import Setting
@@ -53,6 +61,7 @@ class Learner:
 
     Attributes:
         tuned: k of the policy pi_k it holds; -1 before pi_0.
+        together: the seeds whose offline updates were made at once; empty: its own alone.
 
     Raises:
         UserError: the engine cannot run here, or the algorithm does not fit the agent.
@@ -72,6 +81,7 @@ class Learner:
     ) -> None:
         self.description, self.spec, self._place = description, spec, place
         self.tuned = -1
+        self.together: tuple[int, ...] = ()
         self._agent = spec.name
         self._offline_updates = 0
         deployments = description.deployment
@@ -137,7 +147,7 @@ class Learner:
 
         def on_block(state: State, done: int, metrics: dict[str, float]) -> None:
             if done <= updates:
-                self._state, self._offline_updates = state, done
+                self.take_over(state, done)
             report(Progress("offline", 0, done, total, metrics))
             if (done % SAVE_EVERY == 0 or done == updates) and done < total and done <= updates:
                 save()
@@ -146,19 +156,25 @@ class Learner:
             report(Progress(name, 0, done, of, metrics))
 
         if self._offline_updates < total:
-            data = self._experience.data
+            trainer, work = self.offline
             if self.description.offline.rows == "typical":
                 self._fits.train(self._experience, self._stream, on_fit, "typical")
                 data = prepared(self._offline_sampler, self._held(0), self._fits.of("typical"))
-            # Offline training is common to all minibatch keys.
-            phase = Phase("offline", 0, 0)
-            span = (self._offline_updates, updates)
-            self._state = self._offline.train(
-                self._state, data, self._experience.extent, phase, span, on_block
-            )
-            self._offline_updates = total
+                work = work._replace(data=data)
+            self.take_over(trainer.train(work, on_block), total)
         self._fits.train(self._experience, self._stream, on_fit)
         self.tuned = max(self.tuned, 0)
+
+    @property
+    def offline(self) -> tuple[Trainer, Work]:
+        """The updates that pi_0 has yet to see, of all rows of B_0, and what makes them."""
+        held, span = self._experience, (self._offline_updates, self.description.offline.updates)
+        phase = Phase("offline", 0, 0)  # offline training is common to all minibatch keys
+        return self._offline, Work(self._state, held.data, held.extent, phase, span)
+
+    def take_over(self, state: State, done: int) -> None:
+        """Hold the state after so many offline updates, made here or for several seeds at once."""
+        self._state, self._offline_updates = state, done
 
     def act(
         self,
@@ -205,15 +221,10 @@ class Learner:
         def on_block(state: State, done: int, metrics: dict[str, float]) -> None:
             report(Progress("tuning", deployment, done, total, metrics))
 
+        state, extent = {**self._state, **begun.changed}, self._experience.extent
         phase = Phase("tuning", deployment, self.description.minibatch_key)
-        self._state = self._online.train(
-            {**self._state, **begun.changed},
-            begun.data,
-            self._experience.extent,
-            phase,
-            (0, updates),
-            on_block,
-        )
+        work = Work(state, begun.data, extent, phase, (0, updates))
+        self._state = self._online.train(work, on_block)
         self.tuned = deployment
 
     def _begin(self, deployment: int) -> Preparation:
@@ -255,7 +266,7 @@ class Learner:
         states, found = checkpoint.read_own(path, self._metadata())
         self._state = to_tensors(states["algorithm"], self._engine.device)
         self._offline_updates = found.offline_updates
-        self.tuned = found.tuned
+        self.tuned, self.together = found.tuned, found.together
         if not self._fits.load(states, self._experience, self._stream):
             self.tuned = -1
         if found.tuned > 0:
@@ -295,4 +306,5 @@ class Learner:
             tuned=self.tuned,
             alpha=self.alpha.value,
             similarity=self.alpha.similarity,
+            together=self.together,
         )

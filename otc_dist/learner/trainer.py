@@ -1,7 +1,7 @@
 """A base algorithm fed by a sampler: what one phase of training does, and its random numbers."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ from otc_dist.otc.data import Data
 from otc_dist.otc.samplers.interface import Extent, Sampler
 from otc_dist.steps.engine import Engine, Update
 from otc_dist.steps.noise import Noise, NoiseSpec, sample_noise
+from otc_dist.steps.stacking import each
 from otc_dist.steps.state import State
 from otc_dist.steps.training import BLOCK, SampleBlock, train
 from otc_dist.terminal.errors import UserError
@@ -30,6 +31,20 @@ class Phase(NamedTuple):
     purpose: str  # "offline" or "tuning"
     deployment: int
     minibatch_key: int
+
+
+class Work(NamedTuple):
+    """What a phase's updates begin with, learn from, and are called.
+
+    Attributes:
+        span: the updates [start, stop) that are left.
+    """
+
+    state: State
+    data: Data
+    extent: Extent
+    phase: Phase
+    span: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -53,6 +68,10 @@ class Trainer:
         step: the algorithm's update on packed rows, for values and to imitate, as the engine
             runs it.
         random: a stream for a key.
+
+    Attributes:
+        metric_names: of the values that an update gives: the algorithm's and the sampler's.
+        device: where it trains.
     """
 
     def __init__(
@@ -69,17 +88,11 @@ class Trainer:
         self._layout = layout
         self._batch_size, self._engine, self._random = batch_size, engine, random
         self._select = engine.fuse(sampler.select) if sampler.computes else sampler.select
+        self.metric_names = (*algorithm.metric_names, *sampler.metric_names)
+        self.device = engine.device
 
-    def train(
-        self,
-        state: State,
-        data: Data,
-        extent: Extent,
-        phase: Phase,
-        span: tuple[int, int],
-        on_block: OnBlock,
-    ) -> State:
-        """Updates [start, stop) of `span`, then the algorithm's improvement steps.
+    def train(self, work: Work, on_block: OnBlock) -> State:
+        """The updates of `work.span`, then the algorithm's improvement steps.
 
         Args:
             on_block: called after each block of updates, and after each improvement, with the
@@ -88,50 +101,57 @@ class Trainer:
         Raises:
             UserError: a metric is not finite: training has diverged.
         """
-        names = (*self._algorithm.metric_names, *self._sampler.metric_names)
 
         def on_updates(state: State, done: int, metrics: list[float]) -> None:
-            for name, value in zip(names, metrics, strict=True):
-                if not math.isfinite(value):
-                    raise UserError(
-                        f"{phase.purpose} training diverged before update {done:,}: {name} is"
-                        f" {value}; lower the learning rates (algorithm.*) or look at the data"
-                    )
-            on_block(state, done, dict(zip(names, metrics, strict=True)))
+            named = dict(zip(self.metric_names, metrics, strict=True))
+            check_finite(work.phase, done, named.items())
+            on_block(state, done, named)
 
-        update = self._engine.record(self._update(data))
-        specs = self._algorithm.noise_spec(self._batch_size)
-        sample_block = self._sampling(specs, extent, phase, "")
-        state = train(state, update, sample_block, self._engine.device, span, BLOCK, on_updates)
+        update, sample_block = self._engine.record(self._update(work.data)), self.sampling(work)
+        state = train(work.state, update, sample_block, self.device, work.span, BLOCK, on_updates)
         if isinstance(self._algorithm, Improving):
-            state = self._improve(self._algorithm, state, data, extent, phase, span[1], on_block)
+            state = self._improve(self._algorithm, work._replace(state=state), on_block)
         return state
 
-    def _improve(
-        self,
-        algorithm: Improving,
-        state: State,
-        data: Data,
-        extent: Extent,
-        phase: Phase,
-        updates: int,
-        on_block: OnBlock,
-    ) -> State:
+    def sampling(self, work: Work) -> SampleBlock:
+        """The numbers that the updates of `work` take, block by block."""
+        specs = self._algorithm.noise_spec(self._batch_size)
+        return self._sampling(specs, work.extent, work.phase, "")
+
+    def stacked_update(self, data: Data) -> Update:
+        """An update of several states at once, as the engine runs it, from stacked numbers.
+
+        It gives the algorithm's metrics only, one state's (S * m,) after another's. The sampler
+        must be one that learns nothing.
+        """
+        step = _fused_stacked_update(self._engine, self._algorithm, self._layout)
+
+        def choose(state: State, sampled: Noise) -> tuple[Tensor, ...]:
+            rows, imitated, *_ = self._choose(data, state, sampled)
+            return (rows,) if imitated is rows else (rows, imitated)
+
+        def update(state: State, sampled: Noise) -> tuple[State, Tensor]:
+            chosen = each(choose)(state, sampled)
+            state, metrics = step(state, chosen[0], chosen[-1], sampled)
+            return state, metrics.flatten()
+
+        return self._engine.record(update)
+
+    def _improve(self, algorithm: Improving, work: Work, on_block: OnBlock) -> State:
         def improve(state: State, sampled: Noise) -> tuple[State, Tensor]:
-            rows, _, _, state = self._choose(data, state, sampled)
+            rows, _, _, state = self._choose(work.data, state, sampled)
             return algorithm.improve(self._engine.fuse, state, unpack(rows, self._layout), sampled)
 
         def on_improvement(state: State, done: int, metrics: list[float]) -> None:
             names = algorithm.improvement_metric_names
-            on_block(state, updates + done, dict(zip(names, metrics, strict=True)))
+            on_block(state, work.span[1] + done, dict(zip(names, metrics, strict=True)))
 
-        sample_block = self._sampling(
-            algorithm.improvement_noise_spec(self._batch_size), extent, phase, "-improvement"
-        )
+        specs = algorithm.improvement_noise_spec(self._batch_size)
+        sample_block = self._sampling(specs, work.extent, work.phase, "-improvement")
         span = (0, algorithm.improvements)
         with torch.no_grad():
-            state = algorithm.begin_improvement(state)
-            return train(state, improve, sample_block, self._engine.device, span, 1, on_improvement)
+            state = algorithm.begin_improvement(work.state)
+            return train(state, improve, sample_block, self.device, span, 1, on_improvement)
 
     def _update(self, data: Data) -> Update:
         """One update on rows that the sampler chooses; the choice's metrics join the update's."""
@@ -180,6 +200,28 @@ def fused_update(engine: Engine, algorithm: Algorithm, layout: RowLayout) -> Ste
             state, unpack(rows, layout), unpack(imitated, layout), sampled
         )
     )
+
+
+def _fused_stacked_update(engine: Engine, algorithm: Algorithm, layout: RowLayout) -> Step:
+    """The same of several states at once, and as many minibatches."""
+    # Arguments have names, by which the engine knows what may differ between calls.
+    return engine.fuse(
+        lambda state, rows, imitated, sampled: each(
+            lambda one, row, imitation, numbers: algorithm.update(
+                one, unpack(row, layout), unpack(imitation, layout), numbers
+            )
+        )(state, rows, imitated, sampled)
+    )
+
+
+def check_finite(phase: Phase, done: int, metrics: Iterable[tuple[str, float]]) -> None:
+    """Raises UserError if a metric, by its name, is not finite: training has diverged."""
+    for name, value in metrics:
+        if not math.isfinite(value):
+            raise UserError(
+                f"{phase.purpose} training diverged before update {done:,}: {name} is"
+                f" {value}; lower the learning rates (algorithm.*) or look at the data"
+            )
 
 
 def improvements(algorithm: Algorithm) -> int:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from otc_dist.steps.stacking import is_mapped
 from otc_dist.system.lazy import torch
 
 if TYPE_CHECKING:
@@ -139,9 +140,9 @@ def value_and_gradient(
     """The scalar `loss(parameters)` and its gradient (n,).
 
     Compiled code traces torch.func; eagerly its layers cost as much as the arithmetic, so there
-    the same gradient comes from plain autograd.
+    the same gradient comes from plain autograd, but of several states at once.
     """
-    if torch.compiler.is_compiling():
+    if torch.compiler.is_compiling() or is_mapped():
         gradient, value = torch.func.grad_and_value(loss)(parameters)
         return value, gradient
     with torch.enable_grad():
@@ -208,17 +209,19 @@ def when(condition: Tensor, change: Callable[[], Tensors], otherwise: Tensors) -
     """`change()` where the scalar `condition` holds, else the tensors `otherwise`, of like shapes.
 
     On the CPU a change that is not wanted is not computed. A GPU computes it and drops it: it
-    would have to stop to read the condition, which a CUDA graph cannot.
+    would have to stop to read the condition, which a CUDA graph cannot. So it is where several
+    states, of which each has its own condition, are updated at once.
     """
-    if condition.device.type != "cpu":
-        pairs = zip(change(), otherwise, strict=True)
-        return tuple(torch.where(condition, new, old) for new, old in pairs)
-    if torch.compiler.is_compiling():
+    on_cpu = condition.device.type == "cpu"
+    if on_cpu and torch.compiler.is_compiling():
         chosen: Tensors = torch.cond(
             condition, change, lambda: tuple(tensor.clone() for tensor in otherwise)
         )
         return chosen
-    return change() if condition else otherwise
+    if on_cpu and not is_mapped():
+        return change() if condition else otherwise
+    pairs = zip(change(), otherwise, strict=True)
+    return tuple(torch.where(condition, new, old) for new, old in pairs)
 
 
 def fresh_state(

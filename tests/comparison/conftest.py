@@ -42,7 +42,7 @@ def finished(
     folder.description.write_text(base.to_toml())
     for seed in SEEDS:
         for agent in registry.team_spec(base.env.id).names:
-            runs.train_offline(folder, base, seed, agent, silent)
+            runs.train_offline(folder, base, (seed,), agent, silent)
         runs.evaluate_offline(folder, base, seed)
         for arm, assignments in arms.items():
             runs.run_arm(folder, base, seed, arm, assignments, VERSIONS, silent)

@@ -130,13 +130,13 @@ def test_interrupted_offline_training_goes_on_to_the_same_policy(
             raise KeyboardInterrupt
 
     folders = [ComparisonFolder(tmp_path / name) for name in ("through", "cut")]
-    assert runs.train_offline(folders[0], longer, 0, "agent_1", silent)
+    assert runs.train_offline(folders[0], longer, (0,), "agent_1", silent)
     with pytest.raises(KeyboardInterrupt):
-        runs.train_offline(folders[1], longer, 0, "agent_1", interrupt)
+        runs.train_offline(folders[1], longer, (0,), "agent_1", interrupt)
     assert folders[1].seed(0).offline_checkpoint("agent_1").exists()
     seen: list[str] = []
     assert not runs.train_offline(
-        folders[1], longer, 0, "agent_1", lambda share, where: seen.append(where)
+        folders[1], longer, (0,), "agent_1", lambda share, where: seen.append(where)
     )
     assert seen[0] == "offline 200 of 230"  # it had been saved after 100
     through, cut = (checkpoint.read(f.seed(0).checkpoint("agent_1", 0))[0] for f in folders)
@@ -175,7 +175,7 @@ def test_an_arm_that_trains_otherwise_begins_from_its_own_pi_0(
     scores: dict[tuple[int, str], Run],
 ) -> None:
     for agent in ("agent_0", "agent_1", "agent_2"):
-        runs.train_offline(finished, base, 0, agent, silent, own)
+        runs.train_offline(finished, base, (0,), agent, silent, own)
     runs.evaluate_offline(finished, base, 0, own)
     before = finished.offline(0).read_bytes()
     found = runs.run_arm(finished, base, 0, "greedy", own, VERSIONS, silent)

@@ -16,7 +16,10 @@ from torch.utils._pytree import tree_leaves, tree_map_only
 from otc_dist.learner.learner import Learner
 from otc_dist.learner.trainer import Phase
 from otc_dist.otc.distances.embedding import Embedder
+from otc_dist.steps.engine import Engine
 from otc_dist.steps.noise import to_tensors
+from otc_dist.steps.stacking import stack
+from otc_dist.steps.state import P, T
 
 from ..algorithms import every
 from ..brains import ARMS, silent
@@ -53,6 +56,10 @@ def record(update: Callable[[], tuple[Mapping[str, Tensor], Tensor]]) -> Mapping
     return state
 
 
+def kinds(state: Mapping[str, Tensor]) -> dict[str, tuple[torch.Size, torch.dtype]]:
+    return {key: (tensor.shape, tensor.dtype) for key, tensor in state.items()}
+
+
 def tuned(name: str, *assignments: str) -> Learner:
     learner = every.pretrained(name, *assignments)
     learner.tune(1, every.online(name, 1), silent)
@@ -69,9 +76,27 @@ def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
     sampled = on_gpu({key: array[0] for key, array in arrays.items()})
     state, update = on_gpu(learner._state), trainer._update(on_gpu(learner._begin(1).data))
     new = record(lambda: update(state, sampled))
-    # The next replay reads what this one has written.
-    assert {key: x.shape for key, x in new.items()} == {key: x.shape for key, x in state.items()}
-    assert {key: x.dtype for key, x in new.items()} == {key: x.dtype for key, x in state.items()}
+    assert kinds(new) == kinds(state)  # the next replay reads what this one has written
+
+
+class Traced(Engine):
+    """Follows functions as a compiler does, which must find no branch that depends on numbers."""
+
+    def fuse(self, function: Callable[P, T]) -> Callable[P, T]:
+        compiled: Callable[P, T] = torch.compile(function, backend="eager", fullgraph=True)
+        return torch.no_grad()(compiled)
+
+
+def test_an_update_of_several_seeds_stays_on_the_gpu() -> None:
+    """That of the algorithm which on a CPU has a branch."""
+    trainer, work = every.brain("td3bc").offline
+    arrays = to_tensors(trainer.sampling(work)(0, 1), CPU)
+    one = {key: array[0] for key, array in arrays.items()}
+    state, sampled = (on_gpu(stack([tensors] * 3)) for tensors in (work.state, one))
+    trainer._engine = Traced("eager")
+    new, metrics = trainer.stacked_update(on_gpu(work.data))(state, sampled)
+    assert kinds(new) == kinds(state) and {x.device for x in new.values()} == {GPU}
+    assert metrics.shape == (3 * len(trainer.metric_names),)
 
 
 def test_an_update_of_the_embedding_stays_on_the_gpu() -> None:
