@@ -4,7 +4,8 @@
 
 Every transport carries the same payloads: the codec's messages for 3-agent Hopper, answered by an
 11-64-64-1 network in numpy. Ours also checks every field of every message and writes every step
-to a real deployment log before it sends the next; the others do neither. Rounds are interleaved,
+to a real deployment log before it sends the next; the others do neither, nor does "Zenoh alone",
+our own sessions without the rest: less than that no code of ours can take. Rounds are interleaved,
 and ratios are those of the same round, so that a busy machine disturbs both alike. Each peer runs
 beside ours alone (Ray's daemons cost the others time), and both are started several times: on two
 cores a start's ratio depends on where its processes come to lie. gRPC and Ray
@@ -20,11 +21,20 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from lockstep_transports import Transport, grpc_streaming, ours, pipe, pyzmq, ray_actors
+from lockstep_transports import (
+    Transport,
+    grpc_streaming,
+    ours,
+    pipe,
+    pyzmq,
+    ray_actors,
+    zenoh_alone,
+)
 
 # Name, what it needs, how it is made, and the most that our time a step may be of its time.
 PEERS: tuple[tuple[str, str, Transport, float | None], ...] = (
     ("pyzmq", "zmq", pyzmq, 1.5),
+    ("Zenoh alone", "zenoh", zenoh_alone, None),
     ("multiprocessing.Pipe", "multiprocessing", pipe, None),
     # Ray before gRPC: it starts its daemons by forking, which threads of gRPC's can hang.
     ("Ray actors", "ray", ray_actors, 1 / 5),

@@ -8,6 +8,7 @@ import multiprocessing as mp
 import os
 import queue
 import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from multiprocessing.connection import Connection
@@ -34,6 +35,7 @@ TEAM = team_spec("hopper-3x1")
 AGENTS = range(len(TEAM.agents))
 COPIES = {"deployment": 1, "evaluation": 1, "done": 0}
 DIGEST = "0" * 16
+KEYS = Keys("bench", "digest")
 CODECS = [AgentCodec("bench", agent, COPIES) for agent in TEAM.agents]
 _random = np.random.default_rng(0)
 SEEN = tuple(_random.standard_normal((1, 11), dtype=np.float32) for _ in AGENTS)
@@ -98,7 +100,7 @@ def _agents(target: Callable[..., None], *arguments: object) -> Iterator[None]:
 def _our_agent(index: int, endpoint: str) -> None:
     agent = TEAM.agents[index]
     with Session.connect(Endpoint(endpoint), QUICK_PAYLOAD) as session:
-        side = LearnerLockstep(session, Keys("bench", "digest"), agent, COPIES, Rejections())
+        side = LearnerLockstep(session, KEYS, agent, COPIES, Rejections())
         while True:
             asked = side.question(60.0)
             if asked is not None and asked.observations is not None:
@@ -112,9 +114,7 @@ def ours(folder: Path) -> Iterator[Step]:
     writer = LogWriter.create(RunFolder(folder).deployment(1), header)
     seeds, state = np.zeros(1, np.int64), np.zeros((1, TEAM.state_size))
     with Session.listen([Endpoint(endpoint)], QUICK_PAYLOAD) as session, closing(writer):
-        host = HostLockstep(
-            session, Keys("bench", "digest"), TEAM.agents, COPIES, 60.0, Rejections()
-        )
+        host = HostLockstep(session, KEYS, TEAM.agents, COPIES, 60.0, Rejections())
 
         def step(number: int) -> None:
             answers = host.ask([question(index, number) for index in AGENTS], acting=True)
@@ -124,6 +124,40 @@ def ours(folder: Path) -> Iterator[Step]:
             writer.write(JointStep(SEEN, actions, rewards, SEEN, *ends, number, *rest))
 
         with _agents(_our_agent, endpoint):
+            yield step
+    remove_local_endpoint(endpoint)
+
+
+def _zenoh_agent(index: int, endpoint: str) -> None:
+    name = TEAM.agents[index].name
+    with Session.connect(Endpoint(endpoint), QUICK_PAYLOAD) as session:
+        inbox, put = session.inbox(KEYS.observation(name)), session.publisher(KEYS.action(name))
+        session.declare_alive(KEYS.alive(name))
+        while True:
+            payload = inbox.get(time.monotonic() + 60.0)
+            if payload is not None:
+                put(plain_answer(payload))
+
+
+@contextmanager
+def zenoh_alone(folder: Path) -> Iterator[Step]:
+    """Our sessions with what the peers do, and nothing else: what Zenoh costs in Python."""
+    endpoint = local_endpoint(folder / "alone")
+    with Session.listen([Endpoint(endpoint)], QUICK_PAYLOAD) as session:
+        names = [agent.name for agent in TEAM.agents]
+        puts = [session.publisher(KEYS.observation(name)) for name in names]
+        inboxes = [session.inbox(KEYS.action(name)) for name in names]
+
+        def step(number: int) -> list[np.ndarray]:
+            for put, payload in zip(puts, plain_questions(number), strict=True):
+                put(payload)
+            until = time.monotonic() + 60.0
+            return plain_actions([inbox.get(until) or b"" for inbox in inboxes])
+
+        with _agents(_zenoh_agent, endpoint):
+            for name in names:
+                while not session.is_alive(KEYS.alive(name), 1.0):
+                    pass
             yield step
     remove_local_endpoint(endpoint)
 
