@@ -15,7 +15,8 @@ from otc_dist.terminal.errors import UserError
 
 RUN = ("3agent_hopper", "--set", "dataset.transitions=100", "--set", "engine.name=eager")
 HOST = ("--role", "host", "--listen", "tls/0.0.0.0:7447", "--certs", "certs")
-LEARNER = ("--role", "learner", "--agent", "agent_1", "--connect", "tls/192.0.2.1:7447")
+OTHER, CONNECT = ("--role", "learner", "--agent"), ("--connect", "tls/192.0.2.1:7447")
+LEARNER = (*OTHER, "agent_1", *CONNECT)
 FILE = """\
 env_host = "ana@192.0.2.1"
 python = ".venv/bin/python"
@@ -53,7 +54,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["--role", "learner"], "--role learner needs --agent"),
         (["--role", "learner", "--agent", "agent_0"], "needs --connect ENDPOINT, the env host's"),
         ([*LEARNER, "--listen", "tls/0.0.0.0:7447"], "--listen is for --role host"),
-        ([*LEARNER, "--agent", "agent_3", "--certs", "certs"], "unknown agent 'agent_3'; did you"),
+        ([*OTHER, "agent_3", *CONNECT, "--certs", "certs"], "unknown agent 'agent_3'; did you"),
         (["--agent", "agent_1"], "--agent is for --role learner"),
         (["--listen", "tls/0.0.0.0:7447"], "--listen is for --role host"),
         (["--certs", "certs"], "--certs is for runs on several hosts"),
@@ -209,8 +210,8 @@ def test_the_same_command_goes_on_with_a_part_of_a_run(
     out = ("--certs", "certs", "--out", "run")
     assert main([*RUN, *LEARNER, *out]) == 0
     before = RunRecord.read(RunFolder(folder / "run"))
-    moved = ("--connect", "tls/192.0.2.7:7447")
-    assert main([*RUN, *LEARNER, *out, *moved]) == 0
+    moved = ("agent_1", "--connect", "tls/192.0.2.7:7447")
+    assert main([*RUN, *OTHER, *moved, *out]) == 0
     after = RunRecord.read(RunFolder(folder / "run"))
     assert (before.run, len(before.resumed), before.place.connect) == (
         "3agent_hopper-seed0",
@@ -224,6 +225,6 @@ def test_the_same_command_goes_on_with_a_part_of_a_run(
     )
     assert main(["--resume", "run"]) == 0
     assert planned[2].processes == planned[1].processes != planned[0].processes
-    for other in (["--agent", "agent_2"], ["--seed", "5"]):
+    for other in ([*OTHER, "agent_2", *CONNECT], [*LEARNER, "--seed", "5"]):
         with pytest.raises(UserError, match="is of another run, or of another part"):
-            main([*RUN, *LEARNER, *out, *other])
+            main([*RUN, *other, *out])
