@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from otc_dist.comparison import collected
 from otc_dist.comparison.campaign import found, page, tables, verdicts
 from otc_dist.comparison.campaign.found import Found
 from otc_dist.comparison.campaign.published import Published
@@ -47,11 +46,12 @@ class Results:
 
     def text(self) -> Iterator[str]:
         """The tables of every comparison; then those of all together, and what is reproduced."""
-        for folder in self.folders:
-            if collected.has_scores(folder):
-                yield from (f"{folder.name}:", *lines(collected.collect(folder)), "")
+        scores = {one.name: one.scores for one in self.found}
+        for name in (folder.name for folder in self.folders):
+            if name in scores:
+                yield from (f"{name}:", *lines(scores[name]), "")
             else:
-                yield from (f"{folder.name}: no seed is complete yet", "")
+                yield from (f"{name}: no seed is complete yet", "")
         yield "all together:"
         yield from self.together()
 

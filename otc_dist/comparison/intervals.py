@@ -31,7 +31,7 @@ class Difference:
         """Of at least one seed."""
         seeds = sorted(by_seed)
         values = np.array([by_seed[seed] for seed in seeds], np.float64)
-        mean, iqm = float(values.mean()), interquartile_mean(values)
+        mean, iqm = float(values.mean()), float(interquartile_mean(values))
         return cls(
             seeds,
             values.tolist(),

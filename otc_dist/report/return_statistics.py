@@ -33,7 +33,7 @@ class Spread:
         if not count or not np.isfinite(array).all():
             return cls(*(math.nan,) * 5, count)
         std = float(array.std(ddof=1)) if count > 1 else math.nan
-        iqm = interquartile_mean(array)
+        iqm = float(interquartile_mean(array))
         return cls(float(array.mean()), std, iqm, float(array.min()), float(array.max()), count)
 
     def __str__(self) -> str:
@@ -47,10 +47,12 @@ class Spread:
         return self.mean - std, self.mean + std
 
 
-def interquartile_mean(values: Float64) -> float:
+def interquartile_mean(values: Float64, axis: int = -1) -> Float64:
     """The mean without the lowest and the highest quarter (rounded down) of at least one value."""
-    cut = len(values) // 4
-    return float(np.sort(values)[cut : len(values) - cut].mean())
+    count = values.shape[axis]
+    middle = range(count // 4, count - count // 4)
+    found: Float64 = np.take(np.sort(values, axis), middle, axis).mean(axis)
+    return found
 
 
 def improvement(value: float, before: float) -> float | None:

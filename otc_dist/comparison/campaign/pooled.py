@@ -15,6 +15,7 @@ from otc_dist.comparison.campaign.found import Found
 from otc_dist.comparison.intervals import Difference, stratified
 from otc_dist.comparison.judgement import returns
 from otc_dist.comparison.scores import Run
+from otc_dist.report.return_statistics import interquartile_mean
 from otc_dist.transitions import Float64
 
 Judge = Callable[[Run], float | None]  # a run -> a return
@@ -96,10 +97,7 @@ def _estimate(strata: Sequence[Float64], statistic: Callable[..., Float64]) -> E
 
 def _iqm(*strata: Float64, axis: int = -1) -> Float64:
     """Over all runs of all data sets, without the lowest and the highest quarter of them."""
-    values = np.sort(np.concatenate(strata, axis=axis), axis=axis)
-    count = values.shape[axis]
-    kept: Float64 = np.take(values, range(count // 4, count - count // 4), axis).mean(axis=axis)
-    return kept
+    return interquartile_mean(np.concatenate(strata, axis), axis)
 
 
 def _better(*strata: Float64, axis: int = -1) -> Float64:
