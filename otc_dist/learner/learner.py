@@ -10,8 +10,7 @@ environment.
 Everything random is keyed by (seed, agent, purpose, deployment, step or block of updates).
 """
 
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +19,10 @@ import torch
 from otc_dist.algorithms import create
 from otc_dist.algorithms.interface import Algorithm, Critic, unpack
 from otc_dist.description import Description
-from otc_dist.learner import checkpoint
 from otc_dist.learner.actor import ActingPhase, Actor
 from otc_dist.learner.experience import Experience
 from otc_dist.learner.fits import Fits
+from otc_dist.learner.learned import Learned
 from otc_dist.learner.trainer import (
     Phase,
     Progress,
@@ -41,7 +40,7 @@ from otc_dist.otc.samplers.offline import offline_sampler, prepared
 from otc_dist.randomness import stream
 from otc_dist.spec import AgentSpec, Task
 from otc_dist.steps.engine import Engine
-from otc_dist.steps.noise import to_arrays, to_tensors
+from otc_dist.steps.noise import to_tensors
 from otc_dist.steps.state import State
 from otc_dist.transitions import Float32, RowLayout, Transitions
 
@@ -58,10 +57,6 @@ class Learner:
         sampler: in place of the described one: an analysis's, who may know more than an agent.
         fits: further distances whose fits to B_0 `pretrain` makes and checkpoints keep, for other
             descriptions that start from the same policy.
-
-    Attributes:
-        tuned: k of the policy pi_k it holds; -1 before pi_0.
-        together: the seeds whose offline updates were made at once; empty: its own alone.
 
     Raises:
         UserError: the engine cannot run here, or the algorithm does not fit the agent.
@@ -80,10 +75,6 @@ class Learner:
         fits: Iterable[str] = (),
     ) -> None:
         self.description, self.spec, self._place = description, spec, place
-        self.tuned = -1
-        self.together: tuple[int, ...] = ()
-        self._agent = spec.name
-        self._offline_updates = 0
         deployments = description.deployment
         updates = description.offline.updates + deployments.count * deployments.updates
         self._engine = Engine.of(description.engine, updates)
@@ -107,10 +98,16 @@ class Learner:
         self._improvements = improvements(self._algorithm)
         self._offline_sampler = offline_sampler(setting)
         self._sampler = sampler or create_sampler(setting, self._experience.capacity)
-        self._kept: Mapping[str, float] = {}
         offline = unpack(self._experience.offline.cpu(), self._layout)
         initial = self._algorithm.initial_state(self._stream("initial"), offline)
-        self._state: State = to_tensors(initial, self._engine.device)
+        self._learned = Learned(
+            description,
+            spec.name,
+            self._engine.device,
+            self._fits,
+            to_tensors(initial, self._engine.device),
+            self._sampler.kept,
+        )
         step = fused_update(self._engine, self._algorithm, self._layout)
         self._offline, self._online = (
             Trainer(
@@ -128,13 +125,22 @@ class Learner:
     @property
     def alpha(self) -> Alpha:
         """alpha_k and the expected similarity 𝔻_k it was adapted to, where the sampler has them."""
-        kept = self._kept or self._sampler.kept
-        return Alpha(kept.get("alpha", 1.0), kept.get("similarity", math.nan))
+        return self._learned.alpha
+
+    @property
+    def tuned(self) -> int:
+        """k of the policy pi_k it holds; -1 before pi_0."""
+        return self._learned.tuned
+
+    @property
+    def together(self) -> tuple[int, ...]:
+        """The seeds whose offline updates were made at once; empty: its own alone."""
+        return self._learned.together
 
     @property
     def policy(self) -> tuple[Algorithm, State]:
         """The algorithm and all that it has learned so far: an analysis asks it at other states."""
-        return self._algorithm, self._state
+        return self._algorithm, self._learned.state
 
     def pretrain(self, report: Report, save: Callable[[], None]) -> None:
         """Train pi_0 on B_0, and what the distance fits to it: whatever is left to do.
@@ -155,7 +161,7 @@ class Learner:
         def on_fit(name: str, done: int, of: int, metrics: dict[str, float]) -> None:
             report(Progress(name, 0, done, of, metrics))
 
-        if self._offline_updates < total:
+        if self._learned.offline_updates < total:
             trainer, work = self.offline
             if self.description.offline.rows == "typical":
                 self._fits.train(self._experience, self._stream, on_fit, "typical")
@@ -163,18 +169,21 @@ class Learner:
                 work = work._replace(data=data)
             self.take_over(trainer.train(work, on_block), total)
         self._fits.train(self._experience, self._stream, on_fit)
-        self.tuned = max(self.tuned, 0)
+        self._learned.tuned = max(self.tuned, 0)
 
     @property
     def offline(self) -> tuple[Trainer, Work]:
         """The updates that pi_0 has yet to see, of all rows of B_0, and what makes them."""
-        held, span = self._experience, (self._offline_updates, self.description.offline.updates)
+        held, learned = self._experience, self._learned
         phase = Phase("offline", 0, 0)  # offline training is common to all minibatch keys
-        return self._offline, Work(self._state, held.data, held.extent, phase, span)
+        span = (learned.offline_updates, self.description.offline.updates)
+        return self._offline, Work(learned.state, held.data, held.extent, phase, span)
 
-    def take_over(self, state: State, done: int) -> None:
+    def take_over(self, state: State, done: int, together: tuple[int, ...] = ()) -> None:
         """Hold the state after so many offline updates, made here or for several seeds at once."""
-        self._state, self._offline_updates = state, done
+        self._learned.state, self._learned.offline_updates = state, done
+        if together:
+            self._learned.together = together
 
     def act(
         self,
@@ -193,7 +202,7 @@ class Learner:
             UserError: an observation whose mask has no available action.
         """
         return self._actor.act(
-            self._state, observations, phase, deployment, step, exploring=exploring
+            self._learned.state, observations, phase, deployment, step, exploring=exploring
         )
 
     def tune(self, deployment: int, data: Transitions, report: Report) -> None:
@@ -213,7 +222,7 @@ class Learner:
         index, agents = self._place
         if self.description.deployment.turns and (deployment - 1) % agents != index:
             report(Progress("tuning", deployment, total, total, {}))
-            self.tuned = deployment
+            self._learned.tuned = deployment
             return
         begun = self._begin(deployment)
         report(Progress("tuning", deployment, 0, total, dict(begun.measured)))
@@ -221,38 +230,36 @@ class Learner:
         def on_block(state: State, done: int, metrics: dict[str, float]) -> None:
             report(Progress("tuning", deployment, done, total, metrics))
 
-        state, extent = {**self._state, **begun.changed}, self._experience.extent
+        state, extent = {**self._learned.state, **begun.changed}, self._experience.extent
         phase = Phase("tuning", deployment, self.description.minibatch_key)
         work = Work(state, begun.data, extent, phase, (0, updates))
-        self._state = self._online.train(work, on_block)
-        self.tuned = deployment
+        self._learned.state = self._online.train(work, on_block)
+        self._learned.tuned = deployment
 
     def _begin(self, deployment: int) -> Preparation:
         """What the sampler prepares; what it keeps for the next deployment is kept."""
         with torch.no_grad():
             begun = self._sampler.begin(self._held(deployment))
-        self._kept = begun.kept
+        self._learned.sampler = begun.kept
         return begun
 
     def _held(self, deployment: int) -> MergedData:
         return MergedData(
-            self._state,
+            self._learned.state,
             self._experience.data,
             self._experience.extent,
             self._engine,
             lambda purpose, *key: self._stream(purpose, deployment, *key),
-            self._kept,
+            self._learned.sampler,
         )
 
     def policy_digest(self) -> str:
         """16 hexadecimal digits that identify the policy and all that updates it, to the bit."""
-        return checkpoint.digest(checkpoint.joined({"algorithm": to_arrays(self._state)}))
+        return self._learned.digest()
 
     def save(self, path: Path) -> None:
         """Write a checkpoint, atomically. Raises UserError if it cannot be written."""
-        states = {"algorithm": self._state, **self._fits.states()}
-        arrays = checkpoint.joined({name: to_arrays(state) for name, state in states.items()})
-        checkpoint.write(path, arrays, self._metadata())
+        self._learned.save(path)
 
     def load(self, path: Path) -> None:
         """Take over a checkpoint's state; `restore` then merges D_1 .. D_tuned again.
@@ -261,20 +268,14 @@ class Learner:
         `pretrain` fits it.
 
         Raises:
-            UserError: missing, damaged, or not this learner's: see `checkpoint.read_own`.
+            UserError: missing, damaged, or not this learner's.
         """
-        states, found = checkpoint.read_own(path, self._metadata())
-        self._state = to_tensors(states["algorithm"], self._engine.device)
-        self._offline_updates = found.offline_updates
-        self.tuned, self.together = found.tuned, found.together
-        if not self._fits.load(states, self._experience, self._stream):
-            self.tuned = -1
-        if found.tuned > 0:
-            self._kept = {"alpha": found.alpha, "similarity": found.similarity}
+        if not self._fits.load(self._learned.load(path), self._experience, self._stream):
+            self._learned.tuned = -1
 
     def check(self, path: Path) -> None:
         """Whether `load` could take over a checkpoint. Raises UserError as it does."""
-        checkpoint.read_own(path, self._metadata())
+        self._learned.check(path)
 
     def restore(self, online: Sequence[Transitions]) -> None:
         """After `load`: merge D_1 .. D_tuned again, in order."""
@@ -289,22 +290,7 @@ class Learner:
         Raises:
             UserError: as `load`.
         """
-        earlier = checkpoint.read_own(path, self._metadata())[0]["algorithm"]
-        own = {name: x for name, x in self._state.items() if name.startswith("sampler_")}
-        kept = {name: x for name, x in earlier.items() if not name.startswith("sampler_")}
-        self._state = {**to_tensors(kept, self._engine.device), **own}
+        self._learned.revert(path)
 
     def _stream(self, *key: int | str) -> np.random.Generator:
-        return stream(self.description.seed, self._agent, *key)
-
-    def _metadata(self) -> checkpoint.CheckpointMetadata:
-        return checkpoint.CheckpointMetadata(
-            agent=self._agent,
-            offline_digest=self.description.offline_digest(),
-            run_digest=self.description.tuning_digest(),
-            offline_updates=self._offline_updates,
-            tuned=self.tuned,
-            alpha=self.alpha.value,
-            similarity=self.alpha.similarity,
-            together=self.together,
-        )
+        return stream(self.description.seed, self.spec.name, *key)

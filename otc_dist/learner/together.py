@@ -58,8 +58,7 @@ def _train(learners: Sequence[Learner], report: Report, save: Callable[[], None]
         check_finite(work.phase, done, named.items())
         if done % SAVE_EVERY == 0 or done == work.span[1]:
             for learner, own in zip(learners, unstack(state), strict=True):
-                learner.take_over(own, done)
-                learner.together = seeds
+                learner.take_over(own, done, seeds)
             save()
         report(Progress("offline", 0, done, work.span[1], named))
 

@@ -30,15 +30,15 @@ def test_what_imitates_sees_a_plain_sample() -> None:
         learner = pretrained(
             *ARMS["otc-embedding"], f"sampling.corrects={corrects}", "sampling.alpha=20"
         )
-        vae, critic = learner._state["vae"], learner._state["critic"]
+        vae, critic = learner.policy[1]["vae"], learner.policy[1]["critic"]
         learner.tune(1, online(1), silent)
         plain = pretrained(*ARMS["otc-embedding"], f"sampling.corrects={corrects}")
         plain.tune(1, online(1), silent)
         # Another alpha changes which rows the values see; the imitation only where it sees them.
-        assert torch.equal(learner._state["vae"], plain._state["vae"]) is not same
-        assert not torch.equal(learner._state["critic"], plain._state["critic"])
-        assert not torch.equal(learner._state["vae"], vae)
-        assert not torch.equal(learner._state["critic"], critic)
+        assert torch.equal(learner.policy[1]["vae"], plain.policy[1]["vae"]) is not same
+        assert not torch.equal(learner.policy[1]["critic"], plain.policy[1]["critic"])
+        assert not torch.equal(learner.policy[1]["vae"], vae)
+        assert not torch.equal(learner.policy[1]["critic"], critic)
 
 
 def test_in_turns_one_agent_tunes_after_each_deployment() -> None:

@@ -74,7 +74,7 @@ def test_an_update_stays_on_the_gpu(name: str, arm: str) -> None:
     sample_block = trainer._sampling(specs, experience.extent, Phase("tuning", 1, 0), "")
     arrays = to_tensors(sample_block(0, 1), CPU)
     sampled = on_gpu({key: array[0] for key, array in arrays.items()})
-    state, update = on_gpu(learner._state), trainer._update(on_gpu(learner._begin(1).data))
+    state, update = on_gpu(learner.policy[1]), trainer._update(on_gpu(learner._begin(1).data))
     new = record(lambda: update(state, sampled))
     assert kinds(new) == kinds(state)  # the next replay reads what this one has written
 
