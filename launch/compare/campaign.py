@@ -1,11 +1,12 @@
 """`launch campaign NAME`: the comparisons that a file lists, together and seed by seed."""
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.comparison.spent import Spent
 from otc_dist.terminal.amounts import duration
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.parser import Parser
@@ -111,12 +112,14 @@ def main(argv: list[str]) -> int:
 def _forecast(comparisons: Sequence[Comparison], seeds: Sequence[int]) -> Iterator[str]:
     """What is to be done, and how long it takes by what took how long, or a run's forecast."""
     yield f"seeds {', '.join(map(str, seeds))}: each of all comparisons before the next"
-    jobs = rates.measured(comparisons, comparison.jobs_of(comparisons))
+    forecast = comparison.jobs_of(comparisons)
+    took = rates.read(forecast)
+    jobs = rates.measured(comparisons, forecast, took)
     rows = [("comparison", "jobs", "took", "to do", "core hours", "arms")]
     for one in comparisons:
         own = [job for job in jobs if job.output.is_relative_to(one.folder.root)]
-        rows.append((one.name, *_amounts(own), ", ".join(one.arms)))
-    rows.append(("in all", *_amounts(jobs), ""))
+        rows.append((one.name, *_amounts(own, took), ", ".join(one.arms)))
+    rows.append(("in all", *_amounts(jobs, took), ""))
     *numbers, arms = zip(*rows, strict=True)
     left = max(map(len, arms))
     table = aligned(zip(*numbers, (one.ljust(left) for one in arms), strict=True), str.rjust)
@@ -124,18 +127,18 @@ def _forecast(comparisons: Sequence[Comparison], seeds: Sequence[int]) -> Iterat
     todo = [job for job in jobs if not job.done]
     longest = max(job_order.chains(todo).values(), default=0.0)
     total = sum(job.seconds for job in todo)
-    yield _MEASURED if rates.hours(jobs) else _UNMEASURED
+    yield _MEASURED if took else _UNMEASURED
     for count, where in ((cores(), "this machine"), (CLUSTER, "a cluster")):
         yield f"about {duration(max(total / count, longest))} on {where}, {count} cores"
 
 
-def _amounts(jobs: Sequence[Job]) -> tuple[str, str, str, str]:
+def _amounts(jobs: Sequence[Job], took: Mapping[Path, Spent]) -> tuple[str, str, str, str]:
     """How many jobs, the hours of one core that those took which are done, how many are left, and
     the hours that these take.
     """
     todo = [job for job in jobs if not job.done]
     hours = sum(job.seconds for job in todo) / 3600
-    return f"{len(jobs):,}", f"{rates.hours(jobs):,.1f}", f"{len(todo):,}", f"{hours:,.1f}"
+    return f"{len(jobs):,}", f"{rates.hours(jobs, took):,.1f}", f"{len(todo):,}", f"{hours:,.1f}"
 
 
 def command_line() -> Parser:

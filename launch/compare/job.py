@@ -6,7 +6,8 @@ offline AGENT [ASSIGNMENT ...]   train pi_0 of one agent, or of an arm that has 
 pi_0 [ASSIGNMENT ...]            evaluate the team pi_0
 arm NAME ASSIGNMENT ...          tune and evaluate an arm
 
-What it took is written beside OUTPUT, unless an earlier process has done a part of it.
+What it took is written beside OUTPUT, unless an earlier process has done a part of it; of several
+seeds each one's share where it would print alone.
 """
 
 from pathlib import Path
@@ -33,10 +34,15 @@ def main(argv: list[str]) -> int:
     folder = ComparisonFolder(Path(path))
     base = Description.load(folder.description).trusted()
     arms.trust(rest)
+    every = arms.parse_seeds(seeds)
     with user_code.answers_for(*base.parts, *(text.partition("=")[2] for text in rest)):
-        whole = _do(folder, base, arms.parse_seeds(seeds), piece, rest)
+        whole = _do(folder, base, every, piece, rest)
     if whole:
-        Spent.so_far().write(spent.beside(Path(output)))
+        name = folder.job(Path(output))
+        each = [folder.output(seed, name) for seed in every] if len(every) > 1 else [Path(output)]
+        share = Spent.so_far(len(each))
+        for alone in each:
+            share.write(spent.beside(alone))
     return 0
 
 

@@ -154,6 +154,7 @@ def _training(
                 output,
                 (data.product,),
                 forecast.offline(description, len(trained)) + len(trained) * forecast.fits(base),
+                shared=forecast.offline(description, 0),
             )
         )
     return jobs

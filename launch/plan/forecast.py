@@ -32,7 +32,8 @@ def offline(description: Description, seeds: int = 1) -> float:
     """Seconds of one core for one agent's pi_0, without the embedding.
 
     Args:
-        seeds: whose updates are made at once, as if they took no longer than one's: a guess.
+        seeds: whose updates are made at once, as if they took no longer than one's: a guess. What
+            is there for 0 is the updates alone.
     """
     return _trained(description, description.offline.updates, selection=0.0, seeds=seeds)
 

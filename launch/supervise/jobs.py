@@ -30,6 +30,7 @@ class Job:
     output: Path
     needs: tuple[Path, ...] = ()  # products of other jobs
     seconds: float = 1.0  # expected, of one core
+    shared: float = 0.0  # of these, what several that are done together take once for all
 
     @property
     def done(self) -> bool:

@@ -1,6 +1,7 @@
 """Raw scores: one JSON file a run (seed, arm), and where everything of a comparison lies."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from math import isfinite
@@ -164,6 +165,11 @@ class ComparisonFolder:
 
     def output(self, seed: int, job: str) -> Path:
         return self.root / "output" / f"seed_{seed:02d}_{job}.log"
+
+    @staticmethod
+    def job(output: Path) -> str:
+        """The job that prints to `output`, whatever its seed."""
+        return re.sub(r"^seed_\d+_", "", output.stem)
 
     def finished(self, seed: int, arm: str, digest: str) -> Run | None:
         """The run if it is done. Raises UserError if it is of another description than `digest`."""

@@ -3,7 +3,9 @@
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
+
+from pydantic import Field
 
 from otc_dist.comparison.scores import ComparisonFolder, write_json
 from otc_dist.system import records
@@ -13,17 +15,23 @@ from otc_dist.terminal.errors import UserError
 
 @dataclass(frozen=True)
 class Spent:
-    """Of a whole process, its imports and the compilers that it called included."""
+    """Of a whole process, its imports and the compilers that it called included.
 
-    processor_seconds: float  # of one core
+    Attributes:
+        processor_seconds: of one core; what one process took for several seeds is shared out.
+        seeds: for how many it was.
+    """
+
+    processor_seconds: float
     processor: str
+    seeds: Annotated[int, Field(ge=1)] = 1
 
     @classmethod
-    def so_far(cls) -> Self:
-        """By this process, and by those that it has waited for."""
+    def so_far(cls, seeds: int) -> Self:
+        """One seed's share of what this process took, and those that it has waited for."""
         now = os.times()
         took = now.user + now.system + now.children_user + now.children_system
-        return cls(round(took, 1), processor())
+        return cls(round(took / seeds, 1), processor(), seeds)
 
     def write(self, path: Path) -> None:
         """Raises UserError if it cannot be written."""

@@ -147,7 +147,7 @@ def test_what_is_left_takes_as_long_as_its_kind_did(
     """Each job by those that do the same for another seed, by any of its piece, or by all."""
     comparisons = compared(file, out, (0, 1, 2))
     jobs = comparison.jobs_of(comparisons)
-    assert [job.seconds for job in rates.measured(comparisons, jobs)] == [x.seconds for x in jobs]
+    assert rates.measured(comparisons, jobs, rates.read(jobs)) == jobs
     said = {
         out / PARTS[part] / "output" / f"{output}.log": times
         for part, output, times in (
@@ -164,7 +164,7 @@ def test_what_is_left_takes_as_long_as_its_kind_did(
     path = out / PARTS[0] / "output" / "seed_01_pi_0.log"
     Spent(1e6, "of another kind").write(spent.beside(path))
 
-    found = zip(jobs, rates.measured(comparisons, jobs), strict=True)
+    found = zip(jobs, rates.measured(comparisons, jobs, rates.read(jobs)), strict=True)
     slower = {job.output: now.seconds / job.seconds for job, now in found}
 
     def told(part: int, job: str) -> float:

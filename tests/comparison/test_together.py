@@ -10,12 +10,14 @@ from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison import offline_cache, runs, spent
 from otc_dist.comparison.arms import KNOWN, REFERENCE
 from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.comparison.spent import Spent
 from otc_dist.description import Description
 from otc_dist.envs import registry
-from otc_dist.launch.compare import job, job_graph
+from otc_dist.launch.compare import job, job_graph, rates
 from otc_dist.launch.compare.comparison import Comparison, jobs_of
 from otc_dist.launch.supervise.jobs import Job
 from otc_dist.learner import checkpoint
+from otc_dist.system.processor import processor
 
 from .conftest import SEEDS, VERSIONS, silent
 
@@ -30,7 +32,8 @@ def trained(base: Description, tmp_path_factory: pytest.TempPathFactory) -> Comp
     output = folder.output(SEEDS[-1], f"offline_{AGENT}")
     output.parent.mkdir()
     assert job.main([str(folder.root), "0,1", str(output), "offline", AGENT]) == 0
-    assert spent.read(spent.beside(output))
+    shares = [spent.read(spent.beside(folder.output(s, f"offline_{AGENT}"))) for s in SEEDS]
+    assert shares[0] and shares[0].seeds == len(SEEDS) and shares[0] == shares[1]
     return folder
 
 
@@ -130,3 +133,26 @@ def test_on_a_gpu_the_seeds_of_each_ten_are_trained_by_one_job_an_agent(
     assert sorted(offline(job_graph.comparison(folder, base, arms, (0, 1))))[0] == (
         "seed 0, agent_0 offline"
     )
+
+
+def test_what_a_job_of_several_seeds_took_is_shared_out_among_them(
+    base: Description, tmp_path: Path
+) -> None:
+    """Nine took twice as long as forecast: so will the tenth, alone, and the next nine together."""
+    on_gpu = base.with_assignments("engine.name=cuda-graph", "algorithm.name=bremen")
+    folder, seeds = ComparisonFolder(tmp_path), tuple(range(19))
+    compared = Comparison(folder, on_gpu, arms_of.parse_arms("uniform"), seeds, quick=True)
+    name = f"seeds {','.join(map(str, range(10, 19)))}, {AGENT} offline"
+    nine = offline(jobs_of([compared]))[name]
+    share = Spent(2 * nine.seconds / 9, processor(), seeds=9)
+    for seed in range(9):
+        made = folder.seed(seed).checkpoint(AGENT, 0)
+        made.parent.mkdir(parents=True)
+        made.touch()
+        share.write(spent.beside(folder.output(seed, f"offline_{AGENT}")))
+    jobs = jobs_of([compared])
+    took = rates.read(jobs)
+    assert rates.hours(jobs, took) * 3600 == pytest.approx(2 * nine.seconds)
+    before, now = offline(jobs), offline(rates.measured([compared], jobs, took))
+    for left in (f"seed 9, {AGENT} offline", name):
+        assert now[left].seconds == pytest.approx(2 * before[left].seconds)
