@@ -133,8 +133,11 @@ class Improving(Protocol):
         """Names of the values that `improve` returns."""
         ...
 
-    def begin_improvement(self, state: State) -> State:
-        """The state in which the first improvement of a phase finds the policy."""
+    def first_policy(self, state: State) -> State:
+        """The state in which offline training's improvements find the policy.
+
+        Those of tuning find it as it was deployed.
+        """
         ...
 
     def improvement_noise_spec(self, batch_size: int) -> Mapping[str, NoiseSpec]:

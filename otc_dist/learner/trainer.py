@@ -150,7 +150,8 @@ class Trainer:
         sample_block = self._sampling(specs, work.extent, work.phase, "-improvement")
         span = (0, algorithm.improvements)
         with torch.no_grad():
-            state = algorithm.begin_improvement(work.state)
+            offline = work.phase.purpose == "offline"  # tuning goes on from the deployed policy
+            state = algorithm.first_policy(work.state) if offline else work.state
             return train(state, improve, sample_block, self.device, span, 1, on_improvement)
 
     def _update(self, data: Data) -> Update:

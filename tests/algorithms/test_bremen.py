@@ -15,6 +15,7 @@ from otc_dist.steps.noise import sample_noise
 from otc_dist.steps.state import State
 from otc_dist.transitions import RowLayout
 
+from ..brains import silent
 from ..flat_weights import Parts, load
 from .arrays import double, first, random_batch
 from .checks import (
@@ -25,6 +26,7 @@ from .checks import (
     assert_same_weights,
     plainly,
 )
+from .every import online, pretrained
 
 SIZES = [(11, 1, (64, 64)), (17, 3, (24, 16, 8))]
 SMALL_SIZES = [(5, 1, (16, 16)), (7, 3, (12, 8))]
@@ -192,17 +194,29 @@ def test_averages_reach_back_over_a_tenth_of_the_updates_and_then_no_further() -
     assert weights == pytest.approx([1, 1 / 11, 1e-3, 1e-3], rel=1e-3)
 
 
-def test_improvement_begins_from_the_clone() -> None:
+def test_the_first_policy_is_the_clone() -> None:
     bremen = make(4, 2, (8, 8))
     state, batch = start(bremen, np.random.default_rng(3))
     for _ in range(2):
         state, _ = bremen.update(state, batch, batch, {})
     state, _ = improved(bremen, state, batch, seed=0)
-    begun = bremen.begin_improvement(state)
+    begun = bremen.first_policy(state)
     assert not torch.equal(begun["policy"], state["policy"])
     assert torch.equal(begun["policy"], state["clone_average"])
     assert not torch.equal(begun["policy"], state["clone"])
     assert {name for name in state if begun[name] is not state[name]} == {"policy"}
+
+
+def test_tuning_improves_the_deployed_policy() -> None:
+    """The offline policy starts from the clone; without a step tuning leaves it as it is."""
+    learner = pretrained("bremen", "algorithm.improvements=0")
+    offline = learner.policy[1]
+    assert torch.equal(offline["policy"], offline["clone_average"])
+    learner.tune(1, online("bremen", 1), silent)
+    tuned = learner.policy[1]
+    assert torch.equal(tuned["policy"], offline["policy"])
+    assert not torch.equal(tuned["models"], offline["models"])
+    assert not torch.equal(tuned["clone_average"], offline["clone_average"])
 
 
 def test_steps_stay_within_the_radius() -> None:
@@ -221,7 +235,7 @@ def test_improvements_raise_the_reward_in_the_models() -> None:
     bremen = make(2, 1, (16, 16), task=Endless(), horizon=20, model_learning_rate=1e-2)
     random = np.random.default_rng(5)
     state, batch = taught(bremen, random)
-    state = bremen.begin_improvement(state)
+    state = bremen.first_policy(state)
     judged = first(sample_noise(random, bremen.improvement_noise_spec(len(batch.action)), 1))
     before = bremen.rollouts(plainly, state, batch, judged).rewards.mean()
     for seed in range(20):

@@ -98,7 +98,7 @@ def test_an_improvement_is_a_pure_function(name: str) -> None:
     if not isinstance(algorithm, Improving):
         assert name != "bremen"
         return
-    begun = algorithm.begin_improvement({**trial.state, "sampler_ratio": torch.ones(3)})
+    begun = algorithm.first_policy({**trial.state, "sampler_ratio": torch.ones(3)})
     before = {key: tensor.clone() for key, tensor in begun.items()}
     noise = trial.noise(algorithm.improvement_noise_spec(BATCH))
     new, metrics = algorithm.improve(plainly, begun, trial.batch, noise)
