@@ -115,8 +115,8 @@ def test_deployed_actions_are_possible(name: str) -> None:
     """Within the bounds, or the index of an available action, whatever the networks say."""
     spec = spec_for(name)
     learner = pretrained(name)
-    for key, tensor in learner._state.items():
-        learner._state[key] = tensor if key == "updates" else 50 * tensor
+    for key, tensor in learner._learned.state.items():
+        learner._learned.state[key] = tensor if key == "updates" else 50 * tensor
     observations = data_for(spec, 3, 64).observations
     actions = learner.act(observations, "deployment", 1, 0)
     assert (actions.shape, actions.dtype) == ((64, spec.action_size), np.float32)

@@ -144,7 +144,7 @@ def updates(learner: Learner, count: int) -> list[np.ndarray]:
     sample_block = trainer._sampling(specs, extent, Phase("tuning", 1, 0), "")
     sampled = to_tensors(sample_block(0, count), CPU)
     begun = learner._begin(1)
-    states, state = [], {**learner._state, **begun.changed}
+    states, state = [], {**learner._learned.state, **begun.changed}
     for index in range(count):
         state, _ = update(state, {name: array[index] for name, array in sampled.items()})
         parts = [state[name].numpy() for name in ("vae", "critic", "critic_target", "actor")]
