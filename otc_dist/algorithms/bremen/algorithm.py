@@ -2,9 +2,9 @@
 
 An ensemble of dynamics models and a clone of the behaviour policy are fitted to the data; then a
 policy that starts from the clone is improved by TRPO in rollouts of the models. After the next
-deployment models and clone are fitted further, and the policy that was deployed is improved further:
-BREMEN itself starts from a clone again, the OTC paper tunes the policy. What keeps it near the data
-is where it starts and how little each step may change it.
+deployment models and clone are fitted further, and the deployed policy is improved further: BREMEN
+itself starts from a clone again, the OTC paper tunes the policy. What keeps it near the data is
+where it starts and how little each step may change it.
 
 Rewards and ends of episodes in the rollouts are the task's, not learned, as in BREMEN's code.
 docs/method.md says where this differs from that code, and why.
