@@ -20,6 +20,7 @@ from otc_dist.comparison.score_statistics import summarise
 from otc_dist.comparison.scores import Run
 
 ROOT = Path(__file__).parents[1]
+FIGURES = 10  # and tables of the paper that make a claim
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 # A block that `compare --tables FOLDER`, or `mechanism`, printed, whole or in parts.
 QUOTED = re.compile(r"<!-- (tables|mechanism): (\S+) -->\n```text\n(.*?)```", re.S)
@@ -75,18 +76,22 @@ def test_why_it_harmed_is_told_in_the_measured_numbers() -> None:
         assert f"| {values} | {alphas} |" in page, arm
 
 
-def test_the_paper_s_page_is_what_its_raw_scores_give() -> None:
-    written = str(runpy.run_path(str(ROOT / "docs" / "paper.py"))["page"]())
-    assert (ROOT / "docs" / "paper.md").read_text() == written, "run `python docs/paper.py`"
+def test_the_paper_s_pages_are_what_its_raw_scores_give() -> None:
+    written = runpy.run_path(str(ROOT / "docs" / "paper.py"))
+    drawn, said = ROOT / "docs" / "paper.html", (ROOT / "docs" / "paper.md").read_text()
+    assert said == written["page"](), "run `python docs/paper.py`"
+    there = drawn.read_text() if drawn.exists() else None
+    assert there == written["drawn"](), "run `python docs/paper.py`"
 
 
 def test_the_paper_s_page_says_what_is_reproduced_as_soon_as_there_are_scores(
     tmp_path: Path,
 ) -> None:
     """Of scores that lie here for another page, under the names that the campaign has."""
-    page = runpy.run_path(str(ROOT / "docs" / "paper.py"))["page"]
+    written = runpy.run_path(str(ROOT / "docs" / "paper.py"))
+    page, drawn = written["page"], written["drawn"]
     assert "Nothing of it has been run yet" in page(tmp_path)
-    assert page(tmp_path).count(" | Not run. |") == 9
+    assert page(tmp_path).count(" | Not run. |") == FIGURES and drawn(tmp_path) is None
     one = tmp_path / "3agent_hopper-medium-replay-bcq"
     later = shutil.ignore_patterns("seed_2[5-9]")
     shutil.copytree(ROOT / "results/tuning/td3bc-hopper", one, ignore=later)
@@ -99,11 +104,30 @@ def test_the_paper_s_page_says_what_is_reproduced_as_soon_as_there_are_scores(
     shutil.copy(ROOT / "launch/campaigns/paper-table1.toml", tmp_path)
     said = page(tmp_path)
     assert "Complete so far: 5 to 5 seeds of 1 comparisons, in 4 hours of one core." in said
-    assert said.count(" | Not run. |") == 8
+    assert said.count(" | Not run. |") == FIGURES - 1
     assert re.search(
         r"\| Table 1 and Figure 3: BCQ \| .* \| Not reproduced: paper-embedding minus", said
     )
     assert re.search(r"^hopper-3x1/medium-replay +2\.7 ± 26\.3 +2\.7 ± 26\.3", said, re.M)
+    assert drawn(tmp_path).count("<p>Not run</p>") == FIGURES - 1
+
+    # The same scores as if they were those of another of the paper's campaigns.
+    two = tmp_path / "navigation-random-figure6c"
+    shutil.copytree(one, two)
+    task = 'name = "navigation"\nenv.id = "navigation"\ndataset.name = "navigation/random"\n'
+    (two / "description.toml").write_text(task)
+    shutil.copy(ROOT / "launch/campaigns/paper-figure6c.toml", tmp_path)
+    both, shown = page(tmp_path), drawn(tmp_path)
+    assert both.count(" | Not run. |") == shown.count("<p>Not run</p>") == FIGURES - 2
+    assert re.search(
+        r"\| Figure 6c: Navigation, BCQ \| .* \| Undecided: paper-embedding minus .* by chance, .*"
+        r" 1 data set, 5 seeds\. \|",
+        both,
+    )
+    (panel,) = (x for x in shown.split("<section>") if x.startswith("<h2>Figure 6c"))
+    assert panel.count("<svg") == 1 and ">navigation/random<" in panel and ">return<" in panel
+    assert "figure6c: gain, recommended" in both
+    assert both.count("published") == said.count("published")  # nothing is of this figure
 
 
 def said(page: str) -> str:

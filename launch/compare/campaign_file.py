@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.campaign.published import Figure, Published
@@ -25,17 +26,20 @@ FORM = """\
   set = ["algorithm.name=bcq", "offline.updates=100000"]
   arms = ["paper-value", "uniform"]                    # without them, compare's usual ones
   arm = ["mild=sampling.name=otc,sampling.alpha=0.5"]  # more, of your own
+  agents = [2, 4]                                      # of a task for any number of them
 """
 
 
 class Part(Section):
-    """Comparisons that differ in the task and the data alone: every description on every data set.
+    """Comparisons that differ in the task and the data alone: every description on every data set,
+    with every number of agents.
 
-    Its settings are called as the flags of `compare` are.
+    Its other settings are called as the flags of `compare` are.
     """
 
     descriptions: Annotated[tuple[str, ...], Field(min_length=1)]
     datasets: tuple[str, ...] = ()
+    agents: tuple[PositiveInt, ...] = ()
     set: tuple[str, ...] = ()
     arms: tuple[str, ...] = ()
     arm: tuple[str, ...] = ()
@@ -65,7 +69,8 @@ class Campaign(Section):
         return toml_file.load(cls, path, "the campaign")
 
     def comparisons(self, quick: bool) -> Iterator[Prepared]:
-        """All of them, each called by its description, the level of its data and its part.
+        """All of them, each called by its description, with the number of agents that the part
+        gives it, the level of its data and its part.
 
         Raises:
             UserError: one cannot be made as the file says, or has another's name.
@@ -89,13 +94,17 @@ def _of(key: str, part: Part, quick: bool) -> Iterator[Prepared]:
     """
     sizes = {_key(text) for text in descriptions.QUICK} if quick else set()
     changes = [text for text in part.set if _key(text) not in sizes]
-    for description in part.descriptions:
-        for dataset in part.datasets or (None,):
-            data = () if dataset is None else (f"dataset.name={dataset}",)
-            loaded = descriptions.load(description, [*data, *changes], None, quick)
-            base, arms = prepare(loaded, ",".join(part.arms) or None, part.arm, quick)
-            level = base.dataset.name.rpartition("/")[2]
-            yield Prepared(f"{base.name}-{level}-{key}", base, arms)
+    for description, agents, dataset in product(
+        part.descriptions, part.agents or (None,), part.datasets or (None,)
+    ):
+        data = () if dataset is None else (f"dataset.name={dataset}",)
+        team = () if agents is None else (f"env.agents={agents}",)
+        loaded = descriptions.load(description, [*data, *team, *changes], None, quick)
+        if agents is not None:
+            loaded = loaded.with_assignments(f"name={loaded.name}-{agents}")
+        base, arms = prepare(loaded, ",".join(part.arms) or None, part.arm, quick)
+        level = base.dataset.name.rpartition("/")[2]
+        yield Prepared(f"{base.name}-{level}-{key}", base, arms)
 
 
 def _key(assignment: str) -> str:

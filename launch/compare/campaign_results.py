@@ -1,6 +1,6 @@
 """What a campaign's folder shows: its page, and its tables as text."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,8 @@ PAGE = "campaign.html"
 class Results:
     """Of one folder, by the campaigns' files that lie in it beside the scores.
 
+    A folder may hold the scores of several campaigns, whose parts have different names.
+
     Attributes:
         folders: of all comparisons; `found` are those with scores.
     """
@@ -34,10 +36,14 @@ class Results:
     judged: Sequence[Verdict]
 
     @classmethod
-    def read(cls, root: Path) -> "Results":
-        """Raises UserError: it is no campaign's folder, or a file in it is wrong."""
+    def read(cls, root: Path, others: Iterable[Path] = ()) -> "Results":
+        """Of `others`, files of campaigns, the claims are shown as well if they lie elsewhere.
+
+        Raises:
+            UserError: it is no campaign's folder, or a file in it is wrong.
+        """
         folders = found.folders(root)
-        campaigns = [Campaign.load(path) for path in sorted(root.glob("*.toml"))]
+        campaigns = together([*others, *root.glob("*.toml")]).values()
         several = found.read(folders)
         published = Published.together([one.published for one in campaigns if one.published])
         figures = [figure for one in campaigns for figure in one.figures]
@@ -68,6 +74,15 @@ class Results:
         label = descriptions.QUICK_LABEL if quick else ""
         title = f"Campaign: {self.root.name}"
         return page.page(title, self.found, self.judged, self.published, label)
+
+
+def together(files: Iterable[Path]) -> dict[str, Campaign]:
+    """Campaigns by name, of several with the same name the last; those that quote numbers come
+    first. Raises UserError: one cannot be read.
+    """
+    by_name = {path.stem: path for path in files}
+    campaigns = [(name, Campaign.load(by_name[name])) for name in sorted(by_name)]
+    return dict(sorted(campaigns, key=lambda one: one[1].published is None))
 
 
 def write(path: Path, content: bytes) -> None:

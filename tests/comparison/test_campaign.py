@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison import spent
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.comparison.spent import Spent
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.compare import campaign_file, comparison, rates
-from otc_dist.launch.compare.campaign_file import Campaign
+from otc_dist.launch.compare.campaign_file import Campaign, Prepared
 from otc_dist.launch.compare.comparison import Comparison
 from otc_dist.launch.plan import descriptions
 from otc_dist.system.processor import processor
@@ -219,12 +220,45 @@ def test_the_paper_s_first_table() -> None:
                 assert set(one.arms) == {*arms[key], "uniform", "uniform-null"}
 
 
+def test_the_paper_s_figures_are_of_its_tasks_algorithms_and_numbers_of_agents() -> None:
+    def comparisons(name: str) -> dict[str, Prepared]:
+        campaign = Campaign.load(campaign_file.find(name))
+        return {one.name: one for one in campaign.comparisons(quick=True)}
+
+    expected = {
+        "paper-figure6ab": {
+            "predator_prey-random-figure6a": ("predator-prey-3", "bremen"),
+            "cooperative_navigation-random-figure6b": ("cooperative-navigation-4", "bremen"),
+        },
+        "paper-figure6c": {"navigation-random-figure6c": ("navigation", "bcq")},
+        "paper-figure6d": {"5m_vs_6m-medium-figure6d": ("5m_vs_6m", "discrete-cql")},
+        "paper-figures7-8": {
+            f"cooperative_navigation-{agents}-random-figure{8 if agents in (4, 6) else 7}": (
+                f"cooperative-navigation-{agents}",
+                "td3bc",
+            )
+            for agents in range(2, 9)
+        },
+    }
+    found = {name: comparisons(name) for name in expected}
+    assert {
+        name: {key: (one.base.env.id, one.base.algorithm.name) for key, one in of.items()}
+        for name, of in found.items()
+    } == expected
+    (skirmish,) = found["paper-figure6d"].values()
+    assert skirmish.base.deployment.exploration == "sequential"
+    fixed = found["paper-figures7-8"]["cooperative_navigation-6-random-figure8"]
+    one = arms_of.describe(fixed.base, fixed.arms["paper-value-fixed"], 0).sampling
+    other = arms_of.describe(fixed.base, fixed.arms["paper-value"], 0).sampling
+    assert one.model_dump() == other.model_dump() | {"adaptive": False}
+
+
 @pytest.mark.parametrize(
     ("change", "flags", "expected"),
     [
         (None, ("paper-tabel1",), "unknown campaign 'paper-tabel1'; did you mean 'paper-table1'"),
         (None, ("gone.toml",), "cannot read the campaign gone.toml: No such file"),
-        (None, (), r"which campaign\? .* comes with the package: paper-table1"),
+        (None, (), r"which campaign\? .* comes with the package: paper-figure6ab, "),
         (None, ("--tables", "a", "--seeds", "0"), "leave out --seeds"),
         (None, ("a", "--page", "b.html"), "--page is made of what --tables shows: give both"),
         (None, ("a", "--dry-run", "--results", "b"), "leave out --results"),
@@ -242,6 +276,9 @@ def test_the_paper_s_first_table() -> None:
         ("datasets = ['medum']", (), r"twice\.toml: parts\.two: .*hopper-3x1/medum"),
         ("[parts.x]\ndescriptions = ['3agent_hoper']", (), r"parts\.x: .* mean '3agent_hopper'"),
         ("arm = ['x=sampling.nam=otc']", (), r"parts\.two: arm x: .* mean 'sampling\.name'"),
+        ("agents = [2]", (), r"twice\.toml: parts\.two: .*env\.agents is not for hopper-3x1"),
+        ("agents = [0]", (), r"parts\.two\.agents"),
+        ("agents = 2", (), r"parts\.two\.agents must be a list in brackets, not 2"),
         ("datasets = ['medium', 'medium']", (), r"two: 3agent_hopper-medium-two is there twice"),
         ("", ("--seeds", "0-9"), r"^--seeds '0-9': write 0\.\.9"),
         ("seeds = '0-9'", (), r"twice\.toml: --seeds '0-9': write 0\.\.9"),

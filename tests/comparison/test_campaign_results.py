@@ -1,6 +1,5 @@
 """Several data sets together: pooled numbers by hand, beside what is published, and verdicts."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -58,8 +57,7 @@ TWO = found("a", "scored-2/medium", ours=after(5, 9), uniform=after(5, 6), unifo
 def test_gains_are_in_a_unit_that_data_sets_share() -> None:
     assert pooled.gains(ONE, "ours", last) == {0: 1.0, 1: 3.0}
     plain = found("a", PLAIN, uniform=[[-50.0, -25.0], [0.0, 10.0]])
-    gains = pooled.gains(plain, REFERENCE, last)
-    assert gains[0] == 50 and math.isnan(gains[1])
+    assert pooled.gains(plain, REFERENCE, last) == {0: 25.0, 1: 10.0}
     two = found("a", SCORED, uniform=[[100.0, 300.0, 200.0]])
     assert pooled.gains(two, REFERENCE, recommended) == {0: 2.0}  # pi_1's, not pi_2's
     assert pooled.gains(two, REFERENCE, last) == {0: 1.0}
@@ -101,18 +99,23 @@ PUBLISHED = Published(
 
 
 def test_ours_stand_beside_what_is_published_in_its_order() -> None:
-    default = found("z", SCORED, uniform=[[100.0, 150.0, 90.0]], uniform_null=after(2, 2))
-    heads = tables.beside_published([default, ONE, TWO], PUBLISHED)
+    returned = [[100.0, 150.0, 90.0]]
+    default = found("z", TWO.dataset, uniform=returned, uniform_null=after(2, 2))
+    elsewhere = found("figure", PLAIN, uniform=returned, uniform_null=returned)
+    heads = tables.beside_published([default, ONE, TWO, elsewhere], PUBLISHED)
     assert [" ".join(column) for column in zip(*heads[:2], strict=True)][1:] == [
         *("a ours", "a uniform", "a uniform-null"),
         *("z uniform", "z recommended", "z uniform-null"),
     ]
     assert heads[2:] == [
-        ["scored-2/medium", "70.0 ± 28.3", "55.0 ± 7.1", "55.0 ± 7.1", "-", "-", "-"],
+        [TWO.dataset, "70.0 ± 28.3", "55.0 ± 7.1", "55.0 ± 7.1", "-10.0", "50.0", "20.0 ± 0.0"],
         ["published", "70.0 ± 5.0", "20.0 ± 4.0", "", "", "", ""],
-        [SCORED, "20.0 ± 14.1", "10.0 ± 14.1", "10.0 ± 0.0", "-10.0", "50.0", "20.0 ± 0.0"],
+        [SCORED, "20.0 ± 14.1", "10.0 ± 14.1", "10.0 ± 0.0", "-", "-", "-"],
         ["published", "", "", "", "", "", ""],
     ]
+    assert tables.beside_published([elsewhere], PUBLISHED) == []
+    assert "published" not in "\n".join(tables.text([elsewhere], PUBLISHED))
+    assert "what is published" not in page.page("x", [elsewhere], [], PUBLISHED)
 
 
 def test_a_part_has_a_table_of_every_measure() -> None:
@@ -216,6 +219,19 @@ def test_the_page_shows_every_figure_with_its_claim_and_what_became_of_it() -> N
     assert "This is a quick look." in page.page("x", [ONE], [], None, "a quick look")
 
 
+def test_a_figure_draws_returns_where_a_task_has_no_score_and_arms_that_are_not_judged() -> None:
+    arms = {name: [[2.0, 1.0], [3.0, 7.0]] for name in ("ours", "uniform", "uniform_null")}
+    figure = FIGURE.model_copy(update={"beside": ("mine",)})
+
+    def drawn(one: Found) -> str:
+        return page.page("x", [one], [verdicts.judge(figure, [one], None)], None).split("<table")[0]
+
+    plain, scored = drawn(found("a", PLAIN, **arms)), drawn(found("a", SCORED, **arms))
+    assert ">return<" in plain and ">gain over pi_0<" not in plain
+    assert ">gain over pi_0<" in scored and ">return<" not in scored
+    assert ">mine<" not in plain and ">mine<" in drawn(found("a", PLAIN, mine=after(0, 1), **arms))
+
+
 def test_a_campaign_s_folder_says_its_parts(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="not the folder of a campaign"):
         folders(tmp_path)
@@ -228,9 +244,8 @@ def test_a_campaign_s_folder_says_its_parts(tmp_path: Path) -> None:
     assert (one.part, one.dataset, one.seeds) == ("a-b", "hopper-3x1/random", 1)
 
 
-def test_the_paper_s_claims_are_of_arms_that_its_campaign_has() -> None:
+def test_the_paper_s_numbers_are_of_data_and_arms_that_its_first_table_has() -> None:
     campaign = Campaign.load(campaign_file.find("paper-table1"))
-    comparisons = {one.name: one for one in campaign.comparisons(quick=True)}
     published = campaign.published
     assert published is not None
     assert {len(published.parts[part]) for part in ("bcq", "awac")} == {9, 8}
@@ -239,10 +254,26 @@ def test_the_paper_s_claims_are_of_arms_that_its_campaign_has() -> None:
     assert len(cells) == 3 * 17
     means = [of["paper-embedding"][0] for of in published.parts["awac"].values()]
     assert np.mean(means) == pytest.approx(71.0625)
-    for name, one in comparisons.items():
-        part = name.removeprefix(f"{one.base.name}-{one.base.dataset.name.partition('/')[2]}-")
+    for one in campaign.comparisons(quick=True):
+        part = one.name.rpartition("-")[2]
         assert set(published.of(part, one.base.dataset.name)) <= set(one.arms)
+
+
+PAPER = [name for name in campaign_file.shipped() if name.startswith("paper-")]
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_the_paper_s_claims_are_of_arms_that_its_campaigns_have(name: str) -> None:
+    campaign = Campaign.load(campaign_file.find(name))
+    claimed = {part for figure in campaign.figures for part in figure.parts}
+    assert campaign.seeds == "20..24" and claimed == {*campaign.parts} - {"default"}
+    for one in campaign.comparisons(quick=True):
+        (part,) = (key for key in campaign.parts if one.name.endswith(f"-{key}"))
         for figure in campaign.figures:
-            assert part not in figure.parts or set(figure.arms) <= set(one.arms)
-    run = {part for figure in campaign.figures for part in figure.parts} & set(campaign.parts)
-    assert run == {"bcq", "awac"}
+            assert part not in figure.parts or {*figure.arms, *figure.beside} <= {*one.arms}
+
+
+def test_no_two_campaigns_of_the_paper_have_a_part_of_the_same_name() -> None:
+    """They lie in one folder, where a claim is of a part by its name."""
+    parts = [part for name in PAPER for part in Campaign.load(campaign_file.find(name)).parts]
+    assert len(parts) == len({*parts})

@@ -1,6 +1,5 @@
 """All comparisons of a campaign that have scores, from a folder of raw scores."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,6 @@ from otc_dist.comparison import collected
 from otc_dist.comparison.arms import REFERENCE
 from otc_dist.comparison.collected import Collected
 from otc_dist.comparison.scores import Run
-from otc_dist.report.return_statistics import improvement
 from otc_dist.terminal.errors import UserError
 
 
@@ -35,13 +33,18 @@ class Found:
         """How many the reference has: another arm may be a few behind."""
         return len(self.scores.runs[REFERENCE])
 
+    @property
+    def scored(self) -> bool:
+        """Whether the task has a normalised score."""
+        return self.scores.normalise(0.0) is not None
+
     def gain(self, value: float, first: float) -> float:
-        """What a return has over pi_0's, in normalised score; where the task has no reference
-        returns in percent of pi_0's, NaN where that is 0.
+        """What a return has over pi_0's, in normalised score, or in return where the task has none:
+        in percent, a pi_0 that returns next to nothing would outweigh all others.
         """
         score, before = self.scores.normalise(value), self.scores.normalise(first)
         if score is None or before is None:
-            return math.nan if (found := improvement(value, first)) is None else found
+            return value - first
         return score - before
 
     def runs(self, arm: str) -> dict[int, Run]:

@@ -19,8 +19,8 @@ from otc_dist.report.svg import Series, line_chart
 _TONES = {REPRODUCED: "good", NOT_REPRODUCED: "bad"}
 _WIDTH, _HEIGHT = 320.0, 240.0  # px, of a small chart
 CURVES = (
-    "Gain over pi_0 by deployment, in normalised score (percent of pi_0's return where a task has"
-    " none): mean over seeds, bands ± one standard deviation."
+    "Gain over pi_0 by deployment, in normalised score, or the return where a task has none: mean"
+    " over seeds, bands ± one standard deviation."
 )
 
 
@@ -46,30 +46,33 @@ def _figure(one: Verdict) -> str:
     claim = html.note(f"The claim: {one.figure.claim}")
     if not one.shown:
         return html.section(one.figure.title, said, claim)
-    arms = [*one.figure.arms, NULL]
+    arms = [*one.figure.arms, *one.figure.beside, NULL]
     curves = html.charts(_curves(shown, arms) for shown in one.shown)
     alphas = "".join(_alphas(shown, arms) for shown in one.shown) if one.figure.alpha else ""
     return html.section(one.figure.title, said, claim, curves, html.note(CURVES), alphas)
 
 
 def _curves(one: Found, arms: Sequence[str]) -> str:
-    """Of one data set."""
+    """Of one data set, of the arms that it has."""
     by_arm = colours(arms)
     return line_chart(
-        [_curve(one, arm, by_arm) for arm in arms],
+        [_curve(one, arm, by_arm) for arm in arms if one.runs(arm)],
         title=one.dataset,
         x_label="deployment",
-        y_label="gain over pi_0",
+        y_label="gain over pi_0" if one.scored else "return",
         width=_WIDTH,
         height=_HEIGHT,
     )
 
 
 def _curve(one: Found, arm: str, by_arm: Mapping[str, int]) -> Series:
-    gains = np.array(
-        [[one.gain(x, of[0]) for x in of] for of in map(returns, one.runs(arm).values())]
+    values = np.array(
+        [
+            [one.gain(x, of[0]) if one.scored else x for x in of]
+            for of in map(returns, one.runs(arm).values())
+        ]
     )
-    found = [Spread.of(column) for column in gains.T]
+    found = [Spread.of(column) for column in values.T]
     low, high = zip(*(spread.band for spread in found), strict=True)
     x, means = list(range(len(found))), [spread.mean for spread in found]
     return Series(arm, x, means, low, high, "band", False, by_arm[arm], arm == NULL)
@@ -81,9 +84,10 @@ def _alphas(one: Found, arms: Sequence[str]) -> str:
 
 
 def _beside(found: Sequence[Found], published: Published | None) -> str:
-    if not found or published is None:
+    beside = [] if published is None else tables.beside_published(found, published)
+    if not beside:
         return ""
-    parts, heads, *rows = tables.beside_published(found, published)
+    parts, heads, *rows = beside
     named = [" ".join(filter(None, pair)) for pair in zip(parts, heads, strict=True)]
     return html.section("Ours and what is published", html.table(named, rows))
 

@@ -1,7 +1,8 @@
 """Several data sets together: interquartile means, probabilities, differences.
 
 As Agarwal et al. (2021) have it: seeds are resampled within each data set (a stratified bootstrap),
-so that every data set counts the same. What is pooled is in units that data sets share.
+so that every data set counts the same. What is pooled is in a unit that data sets share, normalised
+score; or in return, which tasks without one may share, as for several numbers of agents.
 """
 
 from collections.abc import Callable, Sequence

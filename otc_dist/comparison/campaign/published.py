@@ -54,6 +54,7 @@ class Figure(Section):
         datasets: of these parts; none: all that they have.
         better: arms of which it is claimed.
         than: arms that they are to be better than.
+        beside: arms that are drawn with them, and not judged.
         alpha: whether the figure shows alpha as well.
     """
 
@@ -63,6 +64,7 @@ class Figure(Section):
     datasets: tuple[str, ...] = ()
     better: Annotated[tuple[str, ...], Field(min_length=1)]
     than: Annotated[tuple[str, ...], Field(min_length=1)]
+    beside: tuple[str, ...] = ()
     alpha: bool = False
 
     @property

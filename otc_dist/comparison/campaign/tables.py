@@ -19,9 +19,9 @@ from otc_dist.terminal.printable import aligned
 Rows = list[list[str]]
 NOTE = (
     "Last: pi_K, after all deployments; recommended: the policy whose deployment brought the best"
-    " rewards. Gains are over pi_0, in normalised score, or in percent of pi_0's return where a"
-    " task has none. Mean ± std over seeds; [95% interval by bootstrap], of all data sets together"
-    " with seeds resampled within each."
+    " rewards. Gains are over pi_0, in normalised score, or in return where a task has none. Mean ±"
+    " std over seeds; [95% interval by bootstrap], of all data sets together with seeds resampled"
+    " within each."
 )
 WIDTH = 100  # of the note's lines
 CHANGE = "change from pi_0, last (%)"
@@ -49,17 +49,26 @@ def beside_published(found: Sequence[Found], published: Published) -> Rows:
     """The published table with ours above each of its rows, in its order, and two lines of heads.
 
     Its arms and the null arm, a part after the other; of a part of which nothing is published the
-    reference, and what is recommended of it.
+    reference, and what is recommended of it. Parts on other data sets alone are left out; of none
+    there is no table.
     """
-    by_part = parts(found)
+    printed_of = {*published.datasets}
+    by_part = {
+        part: several
+        for part, several in parts(found).items()
+        if any(one.dataset in printed_of for one in several)
+    }
+    if not by_part:
+        return []
+    shown = [one for several in by_part.values() for one in several]
     columns: list[tuple[str, str, Judge]] = []
     for part, several in by_part.items():
         printed = published.arms(part)
         mine = [(part, arm, last) for arm in _arms(several) if arm in printed]
         default = [(part, REFERENCE, last), (part, REFERENCE, recommended)]
         columns += [*(mine or default), (part, NULL, last)]
-    known = {(one.part, one.dataset): one for one in found}
-    datasets = dict.fromkeys([*published.datasets, *sorted(one.dataset for one in found)])
+    known = {(one.part, one.dataset): one for one in shown}
+    datasets = dict.fromkeys([*published.datasets, *sorted(one.dataset for one in shown)])
     rows = [
         ["", *(part for part, _, _ in columns)],
         [CHANGE, *(arm if judge is last else "recommended" for _, arm, judge in columns)],
@@ -93,9 +102,9 @@ def of_part(several: Sequence[Found]) -> Iterator[tuple[str, Rows]]:
 
 def text(found: Sequence[Found], published: Published | None) -> Iterator[str]:
     """All of them, line by line."""
-    if found and published is not None:
+    if published is not None and (beside := beside_published(found, published)):
         yield f"published: {published.source}"
-        yield from aligned(beside_published(found, published), str.rjust)
+        yield from aligned(beside, str.rjust)
         yield ""
     yield from textwrap.wrap(NOTE, WIDTH)
     for part, several in parts(found).items():

@@ -17,13 +17,12 @@ from otc_dist.comparison.judgement import returns
 
 RULE = (
     "A claim that one arm is better than another is judged by their difference at the last"
-    " deployment, seed by seed, the mean over the data sets: in normalised score, or in percent of"
-    " pi_0's return where a task has none. Reproduced: both 95% intervals (bootstrap, Student's t)"
-    f" are above 0, and the mean is above both of the null arm minus {REFERENCE}. Not"
-    " reproduced: both are below 0; or, where the gains of both arms are published, both are below"
-    " what these would be of our pi_0's return. Undecided: all else. A figure is reproduced if all"
-    " of its claims are, and not reproduced if one of them is not. Where gains are published, data"
-    " sets without do not count."
+    " deployment, seed by seed, the mean over the data sets: in normalised score, or in return"
+    " where a task has none. Reproduced: both 95% intervals (bootstrap, Student's t) are above 0,"
+    f" and the mean is above both of the null arm minus {REFERENCE}. Not reproduced: both are below"
+    " 0; or, where the gains of both arms are published, both are below what these would be of our"
+    " pi_0's return. Undecided: all else. A figure is reproduced if all of its claims are, and not"
+    " reproduced if one of them is not. Where gains are published, data sets without do not count."
 )
 REPRODUCED, NOT_REPRODUCED, UNDECIDED = "reproduced", "not reproduced", "undecided"
 NOT_RUN = "not run"

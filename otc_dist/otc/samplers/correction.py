@@ -101,6 +101,10 @@ _ARMS = {
     "paper-value": Arm(
         of("value", *_RANK, *_PAPER), "otc-value as the paper has it, its normaliser too"
     ),
+    "paper-value-fixed": Arm(
+        of("value", *_RANK, *_PAPER, "sampling.adaptive=false"),
+        "paper-value, with alpha as it is at first",
+    ),
     "dynamics-conformal": Arm(
         of("dynamics", "sampling.name=otc", "sampling.acceptance=conformal"),
         "d_f, accepting what the newest deployment itself could have held",
