@@ -12,6 +12,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # The smallest run with every phase.
 TINY = (
+    "algorithm.name=td3bc",  # with a Q, so that every distance can serve
     "dataset.transitions=1200",
     "embedding.updates=20",
     "dynamics.updates=20",

@@ -152,7 +152,7 @@ def test_dry_run_prints_the_plan_and_starts_nothing(
         "/agent_1/observation",
         "100 transitions per agent",
         "agent_2/observation",
-        "50,000 offline updates",
+        "20,000 offline updates",
         "10 deployments of 4 transitions",  # 1% of 100 is 1: rounded up to the copies
     ):
         assert wanted in printed
@@ -170,7 +170,7 @@ def test_shipped_descriptions_resolve_and_keep_their_name(name: str) -> None:
         assert resolve(resolved) == resolved
 
 
-@pytest.mark.parametrize("changes", [[], ["sampling.distance=value"], ["sampling.name=balanced"]])
+@pytest.mark.parametrize("changes", [[], ["sampling.distance=embedding"], ["sampling.name=balanced"]])
 def test_a_quick_look_is_at_the_same_strategy(changes: list[str]) -> None:
     whole, short = (
         descriptions.load("3agent_hopper", changes, None, quick) for quick in (False, True)
