@@ -220,15 +220,16 @@ def test_the_page_shows_every_figure_with_its_claim_and_what_became_of_it() -> N
 
 
 def test_a_figure_draws_returns_where_a_task_has_no_score_and_arms_that_are_not_judged() -> None:
-    arms = {name: [[2.0, 1.0], [3.0, 7.0]] for name in ("ours", "uniform", "uniform_null")}
+    arms = {name: [[502.0, 501.0], [503.0, 507.0]] for name in ("ours", "uniform", "uniform_null")}
     figure = FIGURE.model_copy(update={"beside": ("mine",)})
 
     def drawn(one: Found) -> str:
         return page.page("x", [one], [verdicts.judge(figure, [one], None)], None).split("<table")[0]
 
     plain, scored = drawn(found("a", PLAIN, **arms)), drawn(found("a", SCORED, **arms))
-    assert ">return<" in plain and ">gain over pi_0<" not in plain
-    assert ">gain over pi_0<" in scored and ">return<" not in scored
+    ticks = ">505<"
+    assert ">return<" in plain and ">gain over pi_0<" not in plain and ticks in plain
+    assert ">gain over pi_0<" in scored and ">return<" not in scored and ticks not in scored
     assert ">mine<" not in plain and ">mine<" in drawn(found("a", PLAIN, mine=after(0, 1), **arms))
 
 
