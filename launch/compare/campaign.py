@@ -96,7 +96,7 @@ def main(argv: list[str]) -> int:
     def whole() -> None:
         """Show all of them together; the file lies beside the scores, to say what they are of."""
         if not any(root.glob("*/description.toml")):
-            return  # they were taken away again: nothing could be done
+            return  # nothing could be done
         for folder in (root, *([] if results is None else [results])):
             write(folder / path.name, path.read_bytes())
         shown = Results.read(root)

@@ -16,8 +16,10 @@ from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.printable import say
 
 from ..plan import descriptions
+from ..plan.new_folder import NewFolder
 from ..run.resolve import resolve
 from ..supervise.jobs import Job
+from ..supervise.processes import MISTAKE
 from . import cluster, held_folder, job_graph
 
 EPISODES = 30  # greedy episodes that a comparison needs at least
@@ -131,7 +133,7 @@ def carry_out(
 
     Args:
         root: the folder that holds theirs, for people.
-        whole: called at the start, when a seed of all is complete, and in the end.
+        whole: called when the first job is done, when a seed of all is complete, and in the end.
 
     Returns:
         the exit status.
@@ -140,12 +142,12 @@ def carry_out(
         UserError: a folder is not theirs, or anything else that the user can fix.
     """
     with ExitStack() as held:
+        new = []
         for one in comparisons:
-            held.enter_context(held_folder.opened(one.folder, one.base))
+            new.append(held.enter_context(held_folder.opened(one.folder, one.base)))
             if one.results is not None:  # a mistake shows before anything runs
-                collected.keep(one.folder, (), (), one.results)
-        whole()
-        status = _do(root, comparisons, queue, whole)
+                collected.check(one.folder, one.results)
+        status = _do(root, comparisons, new, queue, whole)
         whole()
         return status
 
@@ -153,13 +155,14 @@ def carry_out(
 def _do(
     root: Path,
     comparisons: Sequence[Comparison],
+    folders: Sequence[NewFolder],
     queue: tuple[str, ...] | None,
     whole: Callable[[], None],
 ) -> int:
     """The same, with their folders held."""
-    if taken := sum(
-        job_graph.take_offline(one.folder, one.base, one.arms, one.seeds) for one in comparisons
-    ):
+    for one, folder in zip(comparisons, folders, strict=True):
+        folder.given |= {*job_graph.take_offline(one.folder, one.base, one.arms, one.seeds)}
+    if taken := sum(len(folder.given) for folder in folders):
         say(f"{taken} offline policies are those that an earlier comparison trained")
     jobs = jobs_of(comparisons)
     left = sum(not job.done for job in jobs)
@@ -170,13 +173,18 @@ def _do(
             one.conclude()
         return status
     complete = [len(one.complete()) for one in comparisons]
+    begun = False  # a job of theirs is done: they will stay
 
     def finished(job: Job) -> None:
         """Show the result so far whenever one more seed is complete for all arms."""
+        nonlocal begun
         for index, one in enumerate(comparisons):
             if job.product == job_graph.data_file(one.base):  # the data have been made
                 held_folder.note_inputs(one.folder, one.base)
             own = job.product.is_relative_to(one.folder.root)
+            if own and not begun:
+                begun = True
+                whole()
             if own and len(one.complete()) > complete[index]:
                 seeds = min(complete)
                 complete[index] += 1
@@ -186,6 +194,9 @@ def _do(
 
     patience = max(one.base.bus.answer_deadline for one in comparisons)
     status = job_graph.do(jobs, [one.folder for one in comparisons], patience, finished)
+    if status == MISTAKE:
+        for folder in reversed(folders):  # in which none was done
+            folder.take_away()
     if not left or status:  # else each was shown when its last job finished
         for one in comparisons:
             one.conclude()

@@ -12,11 +12,11 @@ from otc_dist.system import durable, records
 from otc_dist.terminal.errors import UserError
 
 from ..plan import run_record
-from ..plan.new_folder import take_away
+from ..plan.new_folder import NewFolder
 
 
 @contextmanager
-def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
+def opened(folder: ComparisonFolder, base: Description) -> Iterator[NewFolder]:
     """The folder, held against other launchers, with `base` as its description.
 
     If it is new, and what is done in it is refused before any job is done, it is taken away again.
@@ -25,27 +25,25 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[None]:
     Raises:
         UserError: it is held, cannot be written, or is of another description or other data.
     """
-    try:
-        folder.root.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make {folder.root}: {error.strerror}") from None
+    new = NewFolder(folder.root)
     if RunFolder(folder.root).run_json.exists():
         raise UserError(
             f"{folder.root} is the folder of a run, not of a comparison; use another --out"
         )
+    found = {path.name for path in folder.root.iterdir()} - {run_record.LOCK}
+    if found and folder.description.name not in found:  # not even a lock in it
+        raise UserError(f"{folder.root} holds something else; use another --out")
     with run_record.locked(RunFolder(folder.root)):
         if begun := folder.description.exists():
             _same(Description.load(folder.description), base, folder)
-        elif any(path.name != ".lock" for path in folder.root.iterdir()):
-            raise UserError(f"{folder.root} holds something else; use another --out")
         else:
             durable.write(folder.description, base.to_toml().encode())
         try:
             note_inputs(folder, base)
-            yield
+            yield new
         except UserError:
             if not begun:
-                take_away(folder.root)
+                new.take_away()
             raise
 
 

@@ -4,7 +4,6 @@ import hashlib
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import starmap
 from pathlib import Path
 
 from otc_dist.comparison import offline_cache
@@ -16,9 +15,7 @@ from otc_dist.envs import registry
 from otc_dist.system.cache import compiled_root
 
 from ..plan import forecast
-from ..plan.new_folder import take_away
 from ..supervise.jobs import FailedError, Job, StoppedError, cores, run_jobs
-from ..supervise.processes import MISTAKE
 from . import cluster
 
 ANALYSIS = 20.0  # seconds that an analysis takes a deployment
@@ -34,8 +31,6 @@ def do(
 ) -> int:
     """Do the jobs on this machine's cores, or say why not. Returns the exit status.
 
-    Where one fails by a mistake, the folders in which none was done are taken away again.
-
     Args:
         folders: of the comparisons whose jobs these are.
         patience: seconds that a job may stand still.
@@ -48,9 +43,6 @@ def do(
         run_jobs(jobs, cores(), finished, patience)
     except FailedError as failed:
         print(f"error: {failed}", file=sys.stderr)
-        if failed.status == MISTAKE:
-            for folder in folders:
-                take_away(folder.root)
         return failed.status
     except StoppedError as stopped:
         print(f"stopped by {stopped}; the same command continues")
@@ -186,8 +178,8 @@ def _trained_and_evaluated(
 
 def take_offline(
     folder: ComparisonFolder, base: Description, arms: Arms, seeds: Sequence[int]
-) -> int:
-    """Take the offline policies that earlier comparisons have trained; returns how many.
+) -> list[Path]:
+    """Take the offline policies that earlier comparisons have trained; returns their files.
 
     Raises:
         UserError: the environment or the code that they name cannot be loaded.
@@ -203,7 +195,7 @@ def take_offline(
                     trained = _together(folder, base, seed, seeds, agent, assignments)
                     missing.setdefault(wanted, (description, agent, wanted, trained))
     # None is taken before it is known which would be trained with which.
-    return sum(starmap(offline_cache.fetch, missing.values()))
+    return [wanted for wanted, what in missing.items() if offline_cache.fetch(*what)]
 
 
 def comparison(

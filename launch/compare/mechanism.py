@@ -13,6 +13,7 @@ from otc_dist.terminal.parser import Parser
 
 from ..plan import descriptions
 from ..run.resolve import resolve
+from ..supervise.processes import MISTAKE
 from . import cluster, held_folder, job_graph
 
 _EXPLANATION = """\
@@ -63,11 +64,13 @@ def main(argv: list[str]) -> int:
     # A comparison may be at work in the folder: it is ours only if something must be trained.
     # Nor do two submit the same jobs.
     trained = queue is None and all(job.done for job in jobs[: -len(seeds)])
-    with nullcontext() if trained else held_folder.opened(folder, base):
+    with nullcontext() if trained else held_folder.opened(folder, base) as new:
         if queue is not None and not all(job.done for job in jobs):
             return cluster.submit(jobs, queue)
         patience = base.bus.answer_deadline
         if status := job_graph.do(jobs, [folder], patience, lambda job: None):
+            if new and status == MISTAKE:
+                new.take_away()
             return status
     if quick:
         print(descriptions.QUICK_LABEL)

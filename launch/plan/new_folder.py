@@ -6,6 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from otc_dist.run.folder import RunFolder
+from otc_dist.system import durable
 from otc_dist.terminal.errors import UserError
 
 from .run_record import LOCK
@@ -21,6 +22,43 @@ _PRODUCTS = (
 )
 
 
+class NewFolder:
+    """The folder of a run or a comparison that begins: what is refused leaves nothing of it behind.
+
+    Attributes:
+        given: files in it that look like work, and took none: copies from elsewhere.
+    """
+
+    def __init__(self, root: Path) -> None:
+        """Make it, if it is not there, with those above it. Raises UserError."""
+        self.root, self.given = root, set[Path]()
+        try:
+            self._above = [path for path in root.parents if not path.exists()]
+            root.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UserError(f"cannot make {root}: {error.strerror}") from None
+
+    def take_away(self) -> bool:
+        """Empty and remove it, if nothing in it took work, and what was made above it.
+
+        So what was refused does not block its name. The caller holds the folder's lock.
+
+        Returns:
+            whether it is gone.
+        """
+        if {path for pattern in _PRODUCTS for path in self.root.glob(pattern)} - self.given:
+            return False
+        for path in self.root.iterdir() if self.root.exists() else ():
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
+        with suppress(OSError):  # something may be mounted there, or others have begun beside it
+            for path in (self.root, *self._above):
+                path.rmdir()
+        return True
+
+
 def check_folder(out: Path, needed: int) -> RunFolder:
     """See that a new run's folder can be made, with room for `needed` bytes; nothing is made.
 
@@ -32,12 +70,7 @@ def check_folder(out: Path, needed: int) -> RunFolder:
         if folder.root.exists() and not _free(folder):
             hint = f"--resume {out}, or " if folder.run_json.exists() else ""
             raise UserError(f"{out} exists already; use {hint}another --out")
-        there = next(path for path in (folder.root, *folder.root.parents) if path.exists())
-        if not there.is_dir():
-            raise UserError(f"cannot make the run folder {out}: {there} is not a folder")
-        if not os.access(there, os.W_OK | os.X_OK):
-            raise UserError(f"cannot write to {there}: permission denied")
-        disk = os.statvfs(there)
+        disk = os.statvfs(durable.room_for(folder.root))
     except OSError as error:
         raise UserError(f"cannot make the run folder {out}: {error.strerror}") from None
     free = disk.f_bavail * disk.f_frsize
@@ -49,40 +82,9 @@ def check_folder(out: Path, needed: int) -> RunFolder:
     return folder
 
 
-def make_folder(out: Path, needed: int) -> RunFolder:
-    """Make it. Raises UserError as `check_folder`."""
-    folder = check_folder(out, needed)
-    try:
-        folder.root.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make the run folder {out}: {error.strerror}") from None
-    return folder
-
-
-def take_away(root: Path, origin: bool = False) -> bool:
-    """Empty and remove the folder of a run or a comparison, if nothing in it took work.
-
-    So what was refused does not block its name. The caller holds the folder's lock.
-
-    Args:
-        origin: whether the policies pi_0 in it are those of another run.
-
-    Returns:
-        whether it is gone.
-    """
-    made = {path for pattern in _PRODUCTS for path in root.glob(pattern)}
-    if origin:
-        made -= {RunFolder(root).checkpoint(path.parent.name, 0) for path in made}
-    if made:
-        return False
-    for path in root.iterdir():
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
-    with suppress(OSError):  # something may be mounted there: an empty folder blocks nothing
-        root.rmdir()
-    return True
+def make_folder(out: Path, needed: int) -> NewFolder:
+    """Make a new run's. Raises UserError as `check_folder`."""
+    return NewFolder(check_folder(out, needed).root)
 
 
 def _free(folder: RunFolder) -> bool:

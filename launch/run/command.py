@@ -123,17 +123,19 @@ def _start(arguments: argparse.Namespace) -> int:
             record = run_record.rejoin(planned.folder, description, placement)
             again = plan.make(description, planned.folder, record.run, placement, asked)
             return run_plan(again, record)
-    folder = new_folder.make_folder(out, planned.disk_bytes)
+    new = new_folder.make_folder(out, planned.disk_bytes)
+    folder = RunFolder(new.root)
     with run_record.locked(folder):
         try:
             if origin:
+                new.given |= {folder.checkpoint(agent, 0) for agent in origin.policies}
                 origin.write(folder, description)
             begun = origin.root if origin else None
             record = run_record.create(folder, description, quick, placement, begun)
         except (UserError, OSError):
-            new_folder.take_away(folder.root, origin=True)
+            new.take_away()
             raise
-        return run_plan(plan.make(description, folder, record.run, placement, asked), record)
+        return run_plan(plan.make(description, folder, record.run, placement, asked), record, new)
 
 
 def _resume(arguments: argparse.Namespace) -> int:

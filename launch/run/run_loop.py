@@ -22,7 +22,7 @@ from ..plan.artifacts import damaged_checkpoints
 from ..plan.forecast import Remaining
 from ..plan.keep import check_rewards
 from ..plan.ledger import Ledger
-from ..plan.new_folder import take_away
+from ..plan.new_folder import NewFolder
 from ..plan.plan import Plan
 from ..plan.run_record import RunRecord
 from ..show.approve import waiting_lines
@@ -47,8 +47,12 @@ REFRESH = 0.5  # seconds between two looks at the statuses
 FAREWELL = 30.0  # seconds that the learners may take to end after the host has
 
 
-def run_plan(plan: Plan, record: RunRecord) -> int:
+def run_plan(plan: Plan, record: RunRecord, new: NewFolder | None = None) -> int:
     """Run `plan` from wherever its folder stands to its end. Returns the exit status.
+
+    Args:
+        new: its folder, if the run begins: it is taken away if it meets a mistake before anything
+            in it took work. Otherwise the run can be gone on with.
 
     0: finished; 1: a process died; 2: a process met a mistake that the user can fix;
     3: a person stopped a deployment in real time by a file; 128 + n: stopped by signal n.
@@ -89,7 +93,7 @@ def run_plan(plan: Plan, record: RunRecord) -> int:
             say(f"{stopped}; {go_on}")
             return STOPPED
         except UserError:
-            if not _gone(plan, record):
+            if not (new and new.take_away()):
                 ledger.enter("failed")
             raise
         except OSError as error:
@@ -100,21 +104,13 @@ def run_plan(plan: Plan, record: RunRecord) -> int:
             if not died.explained:
                 _explain(died)
             mistake = died.end.status == MISTAKE
-            if not (mistake and _gone(plan, record)):
+            if not (mistake and new and new.take_away()):
                 ledger.enter("failed")
                 print(go_on)
             return MISTAKE if mistake else 1
         finally:
             plan.placement.leave(plan.folder.root)
     return 0
-
-
-def _gone(plan: Plan, record: RunRecord) -> bool:
-    """Take away the folder of a run that met a mistake, if it is new and nothing in it took work.
-
-    Returns whether it is gone; if not, the run can be gone on with.
-    """
-    return not record.resumed and take_away(plan.folder.root, origin=record.origin is not None)
 
 
 def _close(plan: Plan, title: str) -> None:

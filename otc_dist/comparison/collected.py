@@ -92,6 +92,22 @@ def has_scores(root: Path) -> bool:
     return any(next(root.glob(f"{at}seed_*/{REFERENCE}.json"), None) for at in ("", "seeds/"))
 
 
+def check(folder: ComparisonFolder, root: Path) -> None:
+    """See that `keep` can work there, before there is anything to keep; nothing is made.
+
+    Raises:
+        UserError: as `keep`.
+    """
+    durable.room_for(root)
+    _check_same(root / "description.toml", folder.description.read_bytes())
+
+
+def _check_same(kept: Path, description: bytes) -> None:
+    """Raises UserError: what is kept there is of another description."""
+    if kept.exists() and kept.read_bytes() != description:
+        raise UserError(f"{kept.parent} is of another description; use another --results")
+
+
 def keep(folder: ComparisonFolder, arms: Iterable[str], seeds: Iterable[int], root: Path) -> None:
     """Copy the description, the raw scores of complete seeds and what they took to a folder that is
     kept, which is to be small: a field a line.
@@ -110,8 +126,8 @@ def keep(folder: ComparisonFolder, arms: Iterable[str], seeds: Iterable[int], ro
         for target, content in contents.items():
             if target.exists() and target.read_bytes() == content:
                 continue
-            if target.name == "description.toml" and target.exists():
-                raise UserError(f"{root} is of another description; use another --results")
+            if target.name == "description.toml":
+                _check_same(target, content)
             target.parent.mkdir(parents=True, exist_ok=True)
             durable.write(target, content)
     except OSError as error:

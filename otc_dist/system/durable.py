@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
+from otc_dist.terminal.errors import UserError
+
 log = logging.getLogger(__name__)
 
 
@@ -56,6 +58,26 @@ def writing(
         raise
     if lasting:
         sync(path.parent)
+
+
+def room_for(path: Path) -> Path:
+    """See that a folder can be made at `path`, or written in if it is there; nothing is made.
+
+    Returns:
+        the nearest one that is there: itself, or one above it.
+
+    Raises:
+        UserError: that is no folder, or may not be written in.
+    """
+    try:
+        there = next(one for one in (path, *path.parents) if one.exists())
+        if not there.is_dir():
+            raise UserError(f"cannot make {path}: {there} is not a folder")
+    except OSError as error:
+        raise UserError(f"cannot make {path}: {error.strerror}") from None
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise UserError(f"cannot write to {there}: permission denied")
+    return there
 
 
 def make_folder(path: Path) -> None:

@@ -12,6 +12,7 @@ from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.datasets import store
 from otc_dist.description import Description
+from otc_dist.launch.__main__ import main
 from otc_dist.launch.compare import command, held_folder, job_graph, mechanism
 from otc_dist.launch.plan import descriptions
 from otc_dist.system.processor import processor
@@ -38,6 +39,21 @@ def test_a_mistake_is_one_clear_line(flags: tuple[str, ...], expected: str, tmp_
     assert not out.exists()
 
 
+@pytest.mark.parametrize("word", ["compare", "mechanism"])
+def test_what_the_first_job_refuses_leaves_nothing(
+    word: str,
+    tiny_flags: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flags = ("--quick", "--seeds", "0", *tiny_flags, "--set", "dataset.transitions=2")
+    assert main([word, "3agent_hopper", *flags]) == 2
+    assert "error: data: medium-replay data need at least" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_of_another_description_is_refused(base: Description, tmp_path: Path) -> None:
     folder = ComparisonFolder(tmp_path / "out")
     with held_folder.opened(folder, base):
@@ -55,11 +71,13 @@ def test_a_folder_of_another_description_is_refused(base: Description, tmp_path:
     ):
         pass
     (tmp_path / "thesis.tex").touch()
+    before = sorted(tmp_path.iterdir())
     with (
         pytest.raises(UserError, match="holds something else"),
         held_folder.opened(ComparisonFolder(tmp_path), base),
     ):
         pass
+    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_a_comparison_does_not_go_on_with_other_data(

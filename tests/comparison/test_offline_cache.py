@@ -42,8 +42,9 @@ def test_a_comparison_with_policies_of_another_has_the_same_raw_scores(
     other = ComparisonFolder(tmp_path)
     other.description.write_text(base.to_toml())
     agents = registry.team_spec(base.env.id).names
-    assert job_graph.take_offline(other, base, arms, (0,)) == len(agents)
-    assert job_graph.take_offline(other, base, arms, (0,)) == 0
+    taken = [other.seed(0).checkpoint(agent, 0) for agent in agents]
+    assert job_graph.take_offline(other, base, arms, (0,)) == taken
+    assert job_graph.take_offline(other, base, arms, (0,)) == []
     left = [job.name for job in job_graph.comparison(other, base, arms, (0,)) if not job.done]
     assert left == ["seed 0, evaluation of pi_0", *(f"seed 0, arm {arm}" for arm in arms)]
     for agent in agents:

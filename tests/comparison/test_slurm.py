@@ -11,8 +11,9 @@ import pytest
 
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description
+from otc_dist.launch.__main__ import main as launch
 from otc_dist.launch.compare import cluster, command, held_folder, mechanism
-from otc_dist.launch.plan import run_record
+from otc_dist.launch.plan import descriptions, run_record
 from otc_dist.launch.supervise import slurm
 from otc_dist.launch.supervise.jobs import Job
 from otc_dist.launch.supervise.slurm import Submission
@@ -178,6 +179,37 @@ def test_what_is_in_the_queue_is_neither_done_here_nor_loses_its_folder(
     with pytest.raises(UserError, match="there is no SLURM on this machine"):
         command.main([*here, "--on", "slurm"])
     assert folder.description.exists()  # which those in the queue read
+
+
+@pytest.mark.parametrize("what", ["compare", "campaign", "mechanism"])
+def test_what_is_refused_leaves_nothing_that_was_not_there(
+    what: str,
+    say: Callable[[str, bytes], None],
+    finished: ComparisonFolder,
+    tiny_flags: tuple[str, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nor policies from the cache, which took no work here; nor what would be kept elsewhere."""
+    say("squeue", b"")
+    (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho 'sbatch: error: no' >&2; exit 1\n")
+    (tmp_path / "bin" / "sbatch").chmod(0o755)
+    monkeypatch.setattr(descriptions, "QUICK", (*descriptions.QUICK, *tiny_flags[1::2]))
+    (tmp_path / "two.toml").write_text(
+        'seeds = "0"\n[parts.one]\ndescriptions = ["3agent_hopper"]\n'
+        '[parts.two]\ndescriptions = ["3agent_hopper"]\n'
+    )
+    named = tmp_path / "two.toml" if what == "campaign" else "3agent_hopper"
+    kept = () if what == "mechanism" else ("--results", "kept/here")
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    flags = (*("--quick", "--seeds", "0", "--on", "slurm"), *kept)
+    with pytest.raises(UserError, match="SLURM refuses: sbatch: error: no"):
+        launch([what, str(named), *flags])
+    taken = "offline policies are those that an earlier comparison trained"
+    assert (taken in capsys.readouterr().out) is (what != "mechanism")
+    assert list(Path().iterdir()) == []
 
 
 # Takes one job, and no other.

@@ -99,12 +99,13 @@ from pathlib import Path
 from otc_dist.datasets import inputs
 from otc_dist.launch.plan import descriptions, new_folder, run_record
 from otc_dist.launch.run import resolve
+from otc_dist.run.folder import RunFolder
 from otc_dist.launch.plan.ledger import Ledger
 from otc_dist.launch.plan.placement import Placement
 small = ("env.id=pkg:parallel_env", "dataset.name=random", "dataset.transitions=100",
          "algorithm.name=td3bc", "engine.name=eager")
 description = resolve.resolve(descriptions.load("navigation", small, None, quick=False))
-folder = new_folder.make_folder(Path("run"), needed=0)
+folder = RunFolder(new_folder.make_folder(Path("run"), needed=0).root)
 record = run_record.create(folder, description, quick=False, placement=Placement())
 Ledger(record, folder).note_inputs(inputs.sources(description), description)
 """

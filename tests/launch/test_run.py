@@ -262,7 +262,7 @@ def test_a_run_does_not_go_on_with_other_data_of_the_same_name(
     description = resolve(
         descriptions.load("3agent_hopper", (*tiny_flags[1::2], *chosen), None, quick=False)
     )
-    folder = new_folder.make_folder(tmp_path / "run", needed=0)
+    folder = RunFolder(new_folder.make_folder(tmp_path / "run", needed=0).root)
     record = run_record.create(folder, description, quick=False, placement=Placement())
     Ledger(record, folder).note_inputs(inputs.data(description, AGENTS), description)
     shutil.rmtree(store.agent_file(name, "agent_0").parent)

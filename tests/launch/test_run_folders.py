@@ -16,6 +16,7 @@ from otc_dist.datasets.importers import import_files
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.compare import held_folder
 from otc_dist.launch.plan import new_folder, run_record
+from otc_dist.launch.plan.new_folder import NewFolder
 from otc_dist.launch.plan.placement import Placement
 from otc_dist.launch.run.resolve import resolve
 from otc_dist.run.folder import RunFolder
@@ -48,7 +49,7 @@ def test_a_full_disk_is_noticed_before_the_start(tmp_path: Path) -> None:
 @pytest.fixture
 def run(tmp_path: Path) -> RunFolder:
     """A run that was begun and not finished."""
-    folder = new_folder.make_folder(tmp_path / "run", needed=0)
+    folder = RunFolder(new_folder.make_folder(tmp_path / "run", needed=0).root)
     run_record.create(folder, resolve(short_description()), quick=False, placement=Placement())
     return folder
 
@@ -112,16 +113,31 @@ def test_a_dry_run_checks_what_a_start_checks_and_neither_leaves_anything(
 
 
 def test_what_took_work_is_never_taken_away(run: RunFolder) -> None:
+    new = NewFolder(run.root)
     run.output("data").parent.mkdir()
     run.output("data").write_text("error: a mistake\n")
     for made in (run.checkpoint("agent_0", 0), run.deployment(1), run.evaluation(0)):
         made.parent.mkdir(parents=True)
         made.touch()
-        assert not new_folder.take_away(run.root)
+        assert not new.take_away()
         made.unlink()
     run.checkpoint("agent_0", 0).touch()
-    assert new_folder.take_away(run.root, origin=True)  # its pi_0 is another run's
+    new.given.add(run.checkpoint("agent_0", 0))  # its pi_0 is another run's
+    assert new.take_away() and new.take_away()
     assert not run.root.exists()
+
+
+def test_what_was_made_above_a_folder_goes_with_it_and_nothing_else(tmp_path: Path) -> None:
+    first, second = (NewFolder(tmp_path / "runs/all" / name) for name in ("first", "second"))
+    for new, left in ((first, ["runs"]), (second, ["runs"])):
+        assert new.take_away()
+        assert [path.name for path in tmp_path.iterdir()] == left
+    first = NewFolder(tmp_path / "more/all/first")
+    second = NewFolder(tmp_path / "more/all/second")
+    (tmp_path / "runs" / "all").rmdir()
+    (tmp_path / "runs").rmdir()
+    assert second.take_away() and first.take_away()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_comparison_that_is_refused_before_any_job_is_done_leaves_its_name_free(
