@@ -87,7 +87,7 @@ class Run:
         try:
             record = records.read_json(_Record, folder.run_json)
         except FileNotFoundError:
-            raise UserError(f"{folder.run_json} does not name the run; is {root} one?") from None
+            raise folder.lacks(folder.run_json) from None
         size, copies = description.deployment.transitions, description.env.copies
         if size < 1 or size % copies:
             raise UserError(

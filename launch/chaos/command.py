@@ -209,7 +209,7 @@ def _wanted(given: list[str]) -> dict[str, int]:
         name, _, count = text.partition("=")
         if name not in FAULTS:
             raise unknown("fault", name, FAULTS)
-        if not count.isdigit():
+        if not count.isdecimal() or not int(count):
             raise UserError(f"how often? write it as {name}=20")
         wanted[name] = int(count)
     return wanted or WHOLE

@@ -41,7 +41,7 @@ def find(name: str) -> Path:
 
 def find_file(name: str, kind: str, shipped: Mapping[str, Path]) -> Path:
     """As `find`, of any kind of TOML file that comes with the package."""
-    if name.endswith(".toml") or "/" in name:
+    if name.endswith(".toml") or "/" in name or (name not in shipped and Path(name).exists()):
         return Path(name)
     if name not in shipped:
         raise unknown(kind, name, shipped)

@@ -66,7 +66,7 @@ class RunRecord:
         try:
             return records.read_json(cls, folder.run_json)
         except FileNotFoundError:
-            raise UserError(f"{folder.root} is not a run folder: it has no run.json") from None
+            raise folder.lacks(folder.run_json) from None
 
 
 def versions() -> dict[str, str]:

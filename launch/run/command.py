@@ -179,11 +179,11 @@ def command_line() -> Parser:
         metavar="NAME",
         help="sample as this arm of a comparison does; --set is applied after it; see below",
     )
-    parser.add_argument("--seed", type=_whole, help="the run's seed")
+    parser.add_argument("--seed", type=int, help="the run's seed")
     parser.add_argument("--out", type=Path, help="run folder (default: runs/NAME-seedSEED)")
     parser.add_argument("--resume", type=Path, metavar="RUN", help="continue a run")
     parser.add_argument(
-        "--deployments", type=_whole, metavar="N", help="with --resume: extend it to so many"
+        "--deployments", type=int, metavar="N", help="with --resume: extend it to so many"
     )
     parser.add_argument(
         "--from",
@@ -224,10 +224,3 @@ def command_line() -> Parser:
     user_code.add_flag(parser)
     parser.add_argument("--list", action="store_true", help="list the shipped descriptions")
     return parser
-
-
-def _whole(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None

@@ -84,7 +84,7 @@ def _description(root: Path) -> Description:
     if not own.exists() and root.parent.name == "seeds" and above.exists():
         return Description.load(above)
     if not own.exists():
-        raise UserError(f"--from: {root} is not a run folder: it has no description.toml")
+        raise UserError(f"--from: {RunFolder(root).lacks(own)}")
     return Description.load(own)
 
 

@@ -47,7 +47,9 @@ def command_line() -> Parser:
         " episode for which the devices have been reset (deployment.reset_by_hand).",
         allow_abbrev=False,
     )
-    parser.add_argument("run", type=Path, help="the run folder, on the machine of the env host")
+    parser.add_argument(
+        "run", type=Path, metavar="RUN", help="the run's folder, on the machine of the env host"
+    )
     return parser
 
 

@@ -30,7 +30,7 @@ def command_line() -> Parser:
         " the run goes or after it.",
         allow_abbrev=False,
     )
-    parser.add_argument("run", type=Path, help="the run folder")
+    parser.add_argument("run", type=Path, metavar="RUN", help="the run's folder")
     parser.add_argument("--json", action="store_true", help="for programs")
     return parser
 

@@ -32,7 +32,7 @@ def main(argv: list[str]) -> int:
     arguments = parser.parse_args(argv)
     if arguments.rules:
         if not is_name(arguments.rules):
-            raise UserError(f"--rules {arguments.rules!r}is not a valid run name")
+            raise UserError(f"--rules {arguments.rules!r} is not a valid run name")
         for name, flag in parser.given(arguments).items():
             if name not in ("folder", "agents", "rules"):
                 raise UserError(f"{flag} is for certificates, and --rules makes none: leave it out")

@@ -34,6 +34,7 @@ KNOWN: Arms = {name: arm.assignments for name, arm in _OF_STRATEGIES.items()} | 
 MEANINGS = {name: arm.meaning for name, arm in _OF_STRATEGIES.items()} | {NULL: _NULL.meaning}
 # What no learner can do: `analyses` makes these arms, and a single run cannot take them.
 ANALYSES: Arms = {PERFECT: ("sampling.name=uniform",), ORACLE: share_of("random")}
+MOST_SEEDS = 1000  # of one range; more is a slip of the finger
 USUAL = ("dynamics-share", "typical-share", "random-share", REFERENCE)
 
 
@@ -108,6 +109,8 @@ def parse_seeds(text: str) -> tuple[int, ...]:
             raise UserError(f"--seeds {text!r}: write 0..9 or 0,1,5") from None
         if low < 0 or high < low:
             raise UserError(f"--seeds {text!r}: {part.strip()!r} holds no seeds; write 0..9")
+        if high - low >= MOST_SEEDS:
+            raise UserError(f"--seeds {text!r}: more than {MOST_SEEDS:,} seeds at once")
         seeds.extend(range(low, high + 1))
     return tuple(dict.fromkeys(seeds))
 

@@ -67,7 +67,7 @@ def chosen(path: Path, agent: str | None, deployment: int | None) -> Choice:
 
 def _no_run(path: Path, folder: RunFolder) -> str:
     if path.is_dir():
-        return f"{path} is not a run folder: it has no {folder.description.name}"
+        return str(folder.lacks(folder.description))
     return (
         f"{path} is not in a run folder: what its tensors mean is in {folder.description.name},"
         " two folders above it"

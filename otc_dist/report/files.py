@@ -13,7 +13,6 @@ from typing_extensions import TypedDict
 
 from otc_dist.run.folder import RunFolder
 from otc_dist.system import records
-from otc_dist.terminal.errors import UserError
 
 GOING_ON = ("running", "reporting")  # states of a run that has not ended
 
@@ -85,7 +84,7 @@ def run_record(folder: RunFolder) -> Record:
     try:
         return record(folder.run_json)
     except FileNotFoundError:
-        raise UserError(f"{folder.root} is no run folder: it has no run.json") from None
+        raise folder.lacks(folder.run_json) from None
 
 
 def card(path: Path) -> Card:

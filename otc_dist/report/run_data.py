@@ -116,7 +116,7 @@ def read_run(folder: RunFolder) -> RunData:
         UserError: it is not a run folder, or its description cannot be read.
     """
     if not folder.description.exists():
-        raise UserError(f"{folder.root} is not a run folder: it has no {folder.description.name}")
+        raise folder.lacks(folder.description)
     description = Description.load(folder.description)
     problems: list[str] = []
 

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from otc_dist.terminal.errors import UserError
+
 
 @dataclass(frozen=True)
 class RunFolder:
@@ -55,6 +57,10 @@ class RunFolder:
     @property
     def report(self) -> Path:
         return self.root / "report.html"
+
+    def lacks(self, path: Path) -> UserError:
+        """That this is no run's folder, since there is no such file in it."""
+        return UserError(f"{self.root} is not a run folder: it has no {path.name}")
 
     def deployment(self, k: int) -> Path:
         """Log of deployment k = 1..K; while it is being written, `.mcap.partial` is appended."""

@@ -37,8 +37,8 @@ def read_json(kind: type[T], path: Path) -> T:
     """
     try:
         content = path.read_bytes()
-    except FileNotFoundError:
-        raise
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileNotFoundError(path) from None
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror}") from None
     return from_json(kind, content, path)

@@ -2,9 +2,27 @@
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from otc_dist.terminal.errors import UserError, unknown
+
+_EMPTY = "nothing is given"  # as by --out "$UNSET"
+
+
+def _whole(text: str) -> int:
+    """What `type=int` is here."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+
+
+def _path(text: str) -> Path:
+    """What `type=Path` is here: an empty one would be the current folder."""
+    if not text:
+        raise argparse.ArgumentTypeError(_EMPTY)
+    return Path(text)
 
 
 class _Once(argparse.Action):
@@ -20,6 +38,8 @@ class _Once(argparse.Action):
         assert isinstance(parser, Parser)
         if self.option_strings and self.dest in parser.met:
             parser.error(f"{option_string} is given twice, and takes one value")
+        if values == "":
+            raise argparse.ArgumentError(self, _EMPTY)
         parser.met.add(self.dest)
         setattr(namespace, self.dest, values)
 
@@ -35,6 +55,8 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*arguments, **named)
         self.met: set[str] = set()
         self.register("action", None, _Once)
+        self.register("type", int, _whole)
+        self.register("type", Path, _path)
 
     def parse_known_args(self, *arguments: Any, **named: Any) -> Any:
         """As argparse does."""

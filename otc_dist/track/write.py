@@ -32,6 +32,7 @@ def write(
         OSError, UserError: `folder` is no run's, the tracker cannot be written, or another process
             is writing it.
     """
+    files.run_record(folder)  # else it is no run's
     points = Points(folder)
     with _held(folder, out), _one_line_errors(out):
         tracker = open_tracker(name, out, _about(folder))

@@ -24,6 +24,7 @@ from otc_dist.terminal.errors import UserError
     [
         (("--arms", "otc-embeding"), "unknown arm 'otc-embeding'; did you mean 'otc-embedding'"),
         (("--seeds", "0-9"), r"write 0\.\.9"),
+        (("--seeds", "0..99999999999"), "more than 1,000 seeds at once"),
         (("--set", "evaluation.episodes=10"), "needs evaluation.episodes >= 30, not 10"),
         (("--set", "deployment.count=0"), "needs deployment.count >= 1"),
         (("--set", "ofline.updates=1"), "did you mean 'offline"),

@@ -20,7 +20,10 @@ from tests.report.conftest import MadeRun
 
 @pytest.mark.parametrize(
     ("faults", "says"),
-    [(["kill-hots=1"], "did you mean 'kill-host'?"), (["freeze"], "write it as freeze=20")],
+    [
+        (["kill-hots=1"], "did you mean 'kill-host'?"),
+        *(([f"freeze{count}"], "write it as freeze=20") for count in ("", "=", "=0", "=-1", "=²")),
+    ],
 )
 def test_a_mistake_is_one_line(faults: list[str], says: str) -> None:
     with pytest.raises(UserError) as caught:

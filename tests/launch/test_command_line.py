@@ -39,6 +39,7 @@ from .short import SHORT
         (["predator_prey", "--set", "env.agents=1"], "is for 2 agents or more, not 1"),
         (["navigation", "--set", "env.id=gone:parallel_env"], "there is no module gone"),
         (["navigation", "--set", "env.agents=3"], "env.agents is not for navigation"),
+        (["."], "cannot read the description .: Is a directory"),
         (["missing.toml"], "cannot read the description missing.toml"),
         ([], "--list"),
         (["--resume", "nowhere"], "is not a run folder"),

@@ -85,6 +85,36 @@ def test_an_unknown_command_is_one_line() -> None:
         main(["replya", "x.mcap"])
 
 
+@pytest.mark.parametrize("unset", ["--out", "--resume", "--from", "--certs", "--agent"])
+def test_an_empty_value_is_no_value(unset: str) -> None:
+    """It would be the current folder, or nothing at all."""
+    with pytest.raises(UserError, match=rf"argument {unset}: nothing is given"):
+        main(["launch", "3agent_hopper", "--quick", "--dry-run", unset, ""])
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("launch", "navigation", "--seed"),
+        ("launch", "--resume", "run", "--deployments"),
+        ("certs", "certs", "--agents"),
+        ("certs", "certs", "--agents", "1", "--days"),
+        ("replay", "a.mcap", "--episode"),
+        ("replay", "navigation/random", "--export", "csv", "--transitions"),
+        ("chaos", "--seed"),
+    ],
+)
+def test_a_number_that_is_none_is_said_in_words(words: tuple[str, ...]) -> None:
+    with pytest.raises(UserError, match=rf"argument {words[-1]}: 'two' is not a whole number"):
+        main([*words, "two"])
+
+
+@pytest.mark.parametrize("rate", ["two", "0", "-1", "inf", "nan"])
+def test_a_rate_is_a_number_above_0(rate: str) -> None:
+    with pytest.raises(UserError, match=f"--rate: '{rate}' is not a number above 0"):
+        main(["replay", "a.mcap", "--publish", f"--rate={rate}"])
+
+
 def completed(script: str, *words: str) -> set[str]:
     """What bash completes the last of the words to."""
     array = f"COMP_WORDS=({shlex.join(words)}); COMP_CWORD={len(words) - 1}; _shtab_otc_dist"

@@ -173,8 +173,8 @@ def test_what_cannot_be_shown_is_one_line(folder: RunFolder, tmp_path: Path) -> 
         return str(why.value)
 
     free = Port("127.0.0.1", free_port())
-    assert refused(RunFolder(tmp_path), free) == f"{tmp_path} is no run folder: it has no run.json"
-    assert "Not a directory" in refused(RunFolder(folder.run_json), free)
+    for root in (tmp_path, folder.run_json):
+        assert refused(RunFolder(root), free) == f"{root} is not a run folder: it has no run.json"
     folder.run_json.write_text('{"state": "stopped"}')
     assert "has no log of a deployment to show, and does not go on" in refused(folder, free)
     # Its steps are of another team than the environment's, and say nothing of bodies.
