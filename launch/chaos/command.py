@@ -1,10 +1,12 @@
 """`launch chaos`: break runs in every way, and compare what they end with to an undisturbed run."""
 
+import argparse
 import random
 import shutil
 import statistics
 import sys
 import tempfile
+import textwrap
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -14,6 +16,7 @@ from pathlib import Path
 from otc_dist.terminal.errors import UserError, unknown
 from otc_dist.terminal.parser import Parser
 
+from ..plan.new_folder import NewFolder
 from . import sandbox
 from .disturbed_run import PHASES, DisturbedRun, StuckError
 from .fault import Fault, MissedError, Setup
@@ -73,10 +76,7 @@ def main(argv: list[str]) -> int:
     wanted = _wanted(arguments.faults)
     sandbox.enter()
     out: Path = (arguments.out or Path(tempfile.mkdtemp(prefix="otc-chaos-"))).resolve()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f"cannot make the folder {out}: {error.strerror}") from None
+    NewFolder(out)  # a mistake shows at once
     start = time.monotonic()
     with sandbox.prepared(out) as prepared:
         setup = Setup(out, prepared)
@@ -220,7 +220,8 @@ def command_line() -> Parser:
     parser = Parser(
         prog="python -m otc_dist.launch chaos",
         description=_EXPLANATION,
-        epilog=f"faults: {', '.join(FAULTS)}",
+        epilog=textwrap.fill(f"faults: {', '.join(FAULTS)}", 96, break_on_hyphens=False),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     parser.add_argument(

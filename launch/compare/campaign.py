@@ -44,24 +44,21 @@ def main(argv: list[str]) -> int:
     """
     parser = command_line()
     arguments = parser.parse_args(argv)
-    given = parser.given(arguments)
-    if arguments.page is not None and arguments.tables is None:
-        raise UserError("--page is made of what --tables shows: give both")
-    if arguments.tables is not None:
-        if idle := [flag for name, flag in given.items() if name not in ("tables", "page")]:
-            raise UserError(f"--tables shows what is in its folder: leave out {idle[0]}")
+    if parser.alone(arguments, "tables", "--tables shows what is in its folder", "page"):
         shown = Results.read(arguments.tables)
         say(*shown.text())
         if arguments.page is not None:
             write(arguments.page, shown.page().encode())
         return 0
+    if arguments.page is not None:
+        raise UserError("--page is made of what --tables shows: give both")
     if arguments.campaign is None:
         shipped = ", ".join(campaign_file.shipped())
         raise UserError(
             f"which campaign? A TOML file, or one that comes with the package: {shipped}"
         )
-    if arguments.dry_run and (idle := [given[name] for name in ("on", "results") if name in given]):
-        raise UserError(f"--dry-run does nothing: leave out {idle[0]}")
+    does = ("campaign", "out", "seeds", "quick")
+    parser.alone(arguments, "dry_run", "--dry-run does nothing", *does)
     queue = cluster.options(arguments)
     path = campaign_file.find(arguments.campaign)
     campaign = Campaign.load(path)

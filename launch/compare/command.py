@@ -19,7 +19,6 @@ from . import cluster, comparison
 from .comparison import EPISODES, Comparison
 
 SEEDS = "0..9"
-_SHOWN = ("tables", "picture")  # what goes together
 
 _EXPLANATION = """\
 Trains the offline policies of every seed once, tunes every arm from them with common random
@@ -37,12 +36,10 @@ def main(argv: list[str]) -> int:
     """
     parser = command_line()
     arguments = parser.parse_args(argv)
-    if arguments.picture is not None and arguments.tables is None:
-        raise UserError("--picture draws what --tables shows: give both")
-    if arguments.tables is not None:
-        if idle := [flag for name, flag in parser.given(arguments).items() if name not in _SHOWN]:
-            raise UserError(f"--tables shows what is in its folder: leave out {idle[0]}")
+    if parser.alone(arguments, "tables", "--tables shows what is in its folder", "picture"):
         return _show(arguments)
+    if arguments.picture is not None:
+        raise UserError("--picture draws what --tables shows: give both")
     if arguments.description is None:
         raise UserError("compare which description? Or --tables FOLDER, of one that was compared")
     seeds = arms_of.parse_seeds(SEEDS if arguments.seeds is None else arguments.seeds)
@@ -90,9 +87,7 @@ def command_line() -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument(
-        "description", nargs="?", help="a shipped description's name, or a TOML file"
-    )
+    descriptions.add_flags(parser)
     parser.add_argument(
         "--arms",
         metavar="NAME,NAME",
@@ -108,13 +103,6 @@ def command_line() -> Parser:
         " changes algorithm.* or offline.* trains a pi_0 of its own",
     )
     parser.add_argument("--seeds", help=f"0..9 or 0,1,5 (default: {SEEDS}; ten for any claim)")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="section.key=value",
-        help="change one value for all arms",
-    )
     parser.add_argument("--out", type=Path, help="folder (default: runs/compare-NAME)")
     parser.add_argument(
         "--results",
@@ -135,6 +123,5 @@ def command_line() -> Parser:
         metavar="FILE.svg",
         help="with --tables: draw what is recommended after each deployment",
     )
-    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
     cluster.add_flags(parser)
     return parser

@@ -84,7 +84,7 @@ def command_line() -> Parser:
     parser = Parser(
         prog="python -m otc_dist.launch mechanism", description=_EXPLANATION, allow_abbrev=False
     )
-    parser.add_argument("description", help="a shipped description's name, or a TOML file")
+    descriptions.add_flags(parser, required=True)
     parser.add_argument("--seeds", default="0..2", help="0..2 or 0,1,5 (default: %(default)s)")
     parser.add_argument(
         "--checkpoints",
@@ -93,14 +93,6 @@ def command_line() -> Parser:
         help="a comparison's folder: its offline policies are used, and missing ones are trained"
         " there, which takes as long as offline training (default: runs/compare-NAME)",
     )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="section.key=value",
-        help="change one value, like sampling.alpha=2",
-    )
-    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
     cluster.add_flags(parser)
     user_code.add_flag(parser)
     return parser

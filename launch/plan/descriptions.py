@@ -5,6 +5,7 @@ from pathlib import Path
 
 from otc_dist.description import Description
 from otc_dist.terminal.errors import unknown
+from otc_dist.terminal.parser import Parser
 
 # A look at every part of a run in under a minute on two cores: sizes only, never the algorithm.
 # Eager, because compiling would take longer than the run.
@@ -46,6 +47,24 @@ def find_file(name: str, kind: str, shipped: Mapping[str, Path]) -> Path:
     if name not in shipped:
         raise unknown(kind, name, shipped)
     return shipped[name]
+
+
+def add_flags(parser: Parser, *, required: bool = False) -> None:
+    """What says which description it is, of every command that takes one: see `load`."""
+    parser.add_argument(
+        "description",
+        nargs=None if required else "?",
+        help="a shipped description's name, or a TOML file",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="section.key=value",
+        help="change one value, like sampling.alpha=2; may be given again"
+        " (all settings: docs/reference/settings.md)",
+    )
+    parser.add_argument("--quick", action="store_true", help=QUICK_HELP)
 
 
 def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -> Description:

@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -33,7 +32,7 @@ def main(argv: list[str]) -> int:
     """
     parser = command_line()
     arguments = parser.parse_args(argv)
-    _check(parser.given(arguments))
+    _check(parser, arguments)
     user_code.allow(*arguments.allow)
     if arguments.arm is not None and arguments.resume is None:
         # Whatever is done with --set, as on other hosts, is done with an arm.
@@ -69,13 +68,12 @@ _TOGETHER = {
 }
 
 
-def _check(given: Mapping[str, str]) -> None:
+def _check(parser: Parser, arguments: argparse.Namespace) -> None:
     """Refuse flags that would do nothing. Raises UserError."""
     for asked, (why, beside) in _TOGETHER.items():
-        if asked in given:
-            if idle := [flag for name, flag in given.items() if name not in (asked, *beside)]:
-                raise UserError(f"{why}: leave out {idle[0]}")
+        if parser.alone(arguments, asked, why, *beside):
             return
+    given = parser.given(arguments)
     if "deployments" in given:
         raise UserError("--deployments extends a run: with --resume; else --set deployment.count=N")
     if "allow" in given and "origin" not in given:
@@ -168,12 +166,7 @@ def command_line() -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument(
-        "description", nargs="?", help="a shipped description's name, or a TOML file"
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="section.key=value", help="change one value"
-    )
+    descriptions.add_flags(parser)
     parser.add_argument(
         "--arm",
         metavar="NAME",
@@ -192,7 +185,6 @@ def command_line() -> Parser:
         metavar="RUN",
         help="begin with the offline policies of another run, or of a comparison's seed folder",
     )
-    parser.add_argument("--quick", action="store_true", help=descriptions.QUICK_HELP)
     parser.add_argument("--dry-run", action="store_true", help="print what would run, and stop")
     apart = parser.add_argument_group("on several hosts (see docs/hosts.md)")
     apart.add_argument("--role", choices=["host", "learner"], help="start this part only")

@@ -33,9 +33,7 @@ def main(argv: list[str]) -> int:
     if arguments.rules:
         if not is_name(arguments.rules):
             raise UserError(f"--rules {arguments.rules!r} is not a valid run name")
-        for name, flag in parser.given(arguments).items():
-            if name not in ("folder", "agents", "rules"):
-                raise UserError(f"{flag} is for certificates, and --rules makes none: leave it out")
+        parser.alone(arguments, "rules", "--rules makes no certificates", "folder", "agents")
     if arguments.agents < 1 or arguments.days < 1:
         raise UserError("--agents and --days must be 1 or more")
     agents = [f"agent_{index}" for index in range(arguments.agents)]

@@ -79,6 +79,24 @@ class Parser(argparse.ArgumentParser):
             if getattr(arguments, action.dest, action.default) != action.default
         }
 
+    def alone(self, arguments: argparse.Namespace, asked: str, why: str, *beside: str) -> bool:
+        """Whether a flag is given, with nothing beside it that would do nothing.
+
+        Args:
+            asked: the flag's attribute.
+            why: what it does, for the line that refuses the others.
+            beside: attributes of what may be given with it.
+
+        Raises:
+            UserError: something else is given.
+        """
+        given = self.given(arguments)
+        if asked not in given:
+            return False
+        if idle := [flag for name, flag in given.items() if name not in (asked, *beside)]:
+            raise UserError(f"{why}: leave out {idle[0]}")
+        return True
+
     def error(self, message: str) -> NoReturn:
         prefix, _, given = message.partition("unrecognized arguments: ")
         if not prefix and given.startswith("-"):

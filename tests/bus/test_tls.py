@@ -300,7 +300,10 @@ def test_nobody_else_gets_at_certificates_whatever_the_umask(tmp_path: Path) -> 
         (["--agents", "1", "--host", "a b"], "--host 'a b' is not a host name"),
         (["--agents", "1", "--host", ""], "--host '' is not a host name"),
         (["--agents", "1", "--days", "0"], "must be 1 or more"),
-        (["--agents", "1", "--rules", "run", "--host", "A"], "--rules makes none: leave it out"),
+        (
+            ["--agents", "1", "--rules", "run", "--host", "A"],
+            "--rules makes no certificates: leave",
+        ),
     ],
 )
 def test_mistakes_with_certs_are_one_line(argv: list[str], says: str, tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ _ARMS = {
     },
     **{
         f"{name}-share": Arm(
-            share_of(name), f"the tenth of B_k with the least {facts.title}: {facts.meaning}"
+            share_of(name), f"the tenth of B_k that is nearest by {facts.title}: {facts.meaning}"
         )
         for name, facts in DISTANCES.items()
     },
