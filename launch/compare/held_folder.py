@@ -30,6 +30,8 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[NewFolder]:
         raise UserError(
             f"{folder.root} is the folder of a run, not of a comparison; use another --out"
         )
+    if next(folder.root.glob("seed_*"), None):  # as `--results` keeps them
+        raise UserError(f"{folder.root} holds kept raw scores; use another --out")
     found = {path.name for path in folder.root.iterdir()} - {run_record.LOCK}
     if found and folder.description.name not in found:  # not even a lock in it
         raise UserError(f"{folder.root} holds something else; use another --out")

@@ -20,6 +20,9 @@ _PRODUCTS = (
     "seeds/**/*.json",
     "mechanism/*/*",
 )
+# What a launcher leaves that is killed before anything takes work.
+_BEGUN = {LOCK, "description.toml", "description.toml.partial", "run.json.partial"}
+_BEGUN_TO_COMPARE = {"inputs.json", "inputs.json.partial", "output"}
 
 
 class NewFolder:
@@ -33,20 +36,25 @@ class NewFolder:
         """Make it, if it is not there, with those above it. Raises UserError."""
         self.root, self.given = root, set[Path]()
         try:
+            there = root.iterdir() if root.exists() else ()
+            self._ours = {path.name for path in there} <= _BEGUN | _BEGUN_TO_COMPARE
             self._above = [path for path in root.parents if not path.exists()]
             root.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(f"cannot make {root}: {error.strerror}") from None
 
     def take_away(self) -> bool:
-        """Empty and remove it, if nothing in it took work, and what was made above it.
+        """Empty and remove it, and what was made above it.
 
-        So what was refused does not block its name. The caller holds the folder's lock.
+        So what was refused does not block its name. It stays if anything in it took work, or was
+        there before: except for what a launcher leaves that was killed as it began. The caller
+        holds the folder's lock.
 
         Returns:
             whether it is gone.
         """
-        if {path for pattern in _PRODUCTS for path in self.root.glob(pattern)} - self.given:
+        made = {path for pattern in _PRODUCTS for path in self.root.glob(pattern)} - self.given
+        if made or not self._ours:
             return False
         for path in self.root.iterdir() if self.root.exists() else ():
             if path.is_dir() and not path.is_symlink():
@@ -67,7 +75,7 @@ def check_folder(out: Path, needed: int) -> RunFolder:
     """
     folder = RunFolder(out.resolve())
     try:
-        if folder.root.exists() and not _free(folder):
+        if folder.root.exists() and not _free(folder.root):
             hint = f"--resume {out}, or " if folder.run_json.exists() else ""
             raise UserError(f"{out} exists already; use {hint}another --out")
         disk = os.statvfs(durable.room_for(folder.root))
@@ -87,12 +95,10 @@ def make_folder(out: Path, needed: int) -> NewFolder:
     return NewFolder(check_folder(out, needed).root)
 
 
-def _free(folder: RunFolder) -> bool:
-    """Whether nothing is in it but what a launcher leaves that was killed as it began."""
-    begun = {folder.description.name, f"{folder.description.name}.partial"}
-    begun |= {f"{folder.run_json.name}.partial", LOCK}
-    found = {path.name for path in folder.root.iterdir()}
-    return not found or (LOCK in found and found <= begun)
+def _free(root: Path) -> bool:
+    """Whether a folder is empty, but for what a launcher leaves that was killed as it began."""
+    found = {path.name for path in root.iterdir()}
+    return not found or (LOCK in found and found <= _BEGUN)
 
 
 def _megabytes(size: int) -> str:

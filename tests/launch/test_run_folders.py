@@ -112,8 +112,9 @@ def test_a_dry_run_checks_what_a_start_checks_and_neither_leaves_anything(
     assert list(Path().iterdir()) == []
 
 
-def test_what_took_work_is_never_taken_away(run: RunFolder) -> None:
-    new = NewFolder(run.root)
+def test_what_took_work_is_never_taken_away(tmp_path: Path) -> None:
+    new = NewFolder(tmp_path / "run")
+    run = RunFolder(new.root)
     run.output("data").parent.mkdir()
     run.output("data").write_text("error: a mistake\n")
     for made in (run.checkpoint("agent_0", 0), run.deployment(1), run.evaluation(0)):
@@ -125,6 +126,20 @@ def test_what_took_work_is_never_taken_away(run: RunFolder) -> None:
     new.given.add(run.checkpoint("agent_0", 0))  # its pi_0 is another run's
     assert new.take_away() and new.take_away()
     assert not run.root.exists()
+
+
+@pytest.mark.parametrize("theirs", ["seed_00/uniform.json", "notes.txt", "run.json"])
+def test_what_was_there_before_is_never_taken_away(theirs: str, tmp_path: Path) -> None:
+    """Whatever the folder is; but what a launcher has left that was killed as it began is."""
+    (tmp_path / "run" / "output").mkdir(parents=True)
+    for name in (".lock", "description.toml", "inputs.json.partial", "output/data.log"):
+        (tmp_path / "run" / name).touch()
+    assert NewFolder(tmp_path / "run").take_away()
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "run" / theirs).parent.mkdir(parents=True)
+    (tmp_path / "run" / theirs).touch()
+    assert not NewFolder(tmp_path / "run").take_away()
+    assert (tmp_path / "run" / theirs).exists()
 
 
 def test_what_was_made_above_a_folder_goes_with_it_and_nothing_else(tmp_path: Path) -> None:
@@ -152,6 +167,20 @@ def test_a_comparison_that_is_refused_before_any_job_is_done_leaves_its_name_fre
         folder.seed(0).checkpoint("agent_0", 0).touch()
         raise UserError("no")
     assert folder.description.exists()
+
+
+def test_kept_raw_scores_are_no_folder_to_compare_in(tmp_path: Path) -> None:
+    folder, base = ComparisonFolder(tmp_path), resolve(short_description())
+    folder.description.write_text(base.to_toml())
+    (tmp_path / "seed_00").mkdir()
+    (tmp_path / "seed_00" / "uniform.json").touch()
+    before = sorted(tmp_path.rglob("*"))
+    with (
+        pytest.raises(UserError, match="holds kept raw scores; use another --out"),
+        held_folder.opened(folder, base),
+    ):
+        pass
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_a_run_that_was_killed_before_it_began_is_begun_again(
