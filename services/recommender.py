@@ -8,7 +8,6 @@ import json
 from otc_dist.run import recommendation
 from otc_dist.run.measured_returns import Measured, horizon, measure
 from otc_dist.system import durable
-from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Transitions
 
 from .gathering import Fetch
@@ -71,11 +70,8 @@ class Recommender:
             "deployment": found.deployment,
             "keep": keep,
         }
-        path = self._folder.recommended(self._name)
-        try:
-            durable.write(path, (json.dumps(content, indent=1) + "\n").encode())
-        except OSError as error:
-            raise UserError(f"cannot write {path}: {error.strerror}") from None
+        lines = json.dumps(content, indent=1) + "\n"
+        durable.put(self._folder.recommended(self._name), lines.encode())
 
     def _up_to(self, deployment: int) -> list[Measured]:
         for k in range(1, deployment + 1):

@@ -7,6 +7,7 @@ from pathlib import Path
 from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.comparison.spent import Spent
+from otc_dist.system import durable
 from otc_dist.terminal.amounts import duration
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.parser import Parser
@@ -17,7 +18,7 @@ from ..supervise import job_order
 from ..supervise.jobs import Job, cores
 from . import campaign_file, cluster, comparison, rates
 from .campaign_file import Campaign
-from .campaign_results import PAGE, Results, write
+from .campaign_results import PAGE, Results
 from .comparison import Comparison
 
 CLUSTER = 64  # cores for which the forecast says the time as well
@@ -48,7 +49,7 @@ def main(argv: list[str]) -> int:
         shown = Results.read(arguments.tables)
         say(*shown.text())
         if arguments.page is not None:
-            write(arguments.page, shown.page().encode())
+            durable.put(arguments.page, shown.page().encode())
         return 0
     if arguments.page is not None:
         raise UserError("--page is made of what --tables shows: give both")
@@ -95,10 +96,10 @@ def main(argv: list[str]) -> int:
         if not any(root.glob("*/description.toml")):
             return  # nothing could be done
         for folder in (root, *([] if results is None else [results])):
-            write(folder / path.name, path.read_bytes())
+            durable.put(folder / path.name, path.read_bytes())
         shown = Results.read(root)
         if shown.found:
-            write(root / PAGE, shown.page().encode())
+            durable.put(root / PAGE, shown.page().encode())
 
     status = comparison.carry_out(root, comparisons, queue, whole)
     if (root / PAGE).exists():

@@ -8,8 +8,6 @@ from otc_dist.comparison.campaign import found, page, tables, verdicts
 from otc_dist.comparison.campaign.found import Found
 from otc_dist.comparison.campaign.published import Published
 from otc_dist.comparison.campaign.verdicts import Verdict
-from otc_dist.system import durable
-from otc_dist.terminal.errors import UserError
 
 from ..plan import descriptions
 from .campaign_file import Campaign
@@ -83,11 +81,3 @@ def together(files: Iterable[Path]) -> dict[str, Campaign]:
     by_name = {path.stem: path for path in files}
     campaigns = [(name, Campaign.load(by_name[name])) for name in sorted(by_name)]
     return dict(sorted(campaigns, key=lambda one: one[1].published is None))
-
-
-def write(path: Path, content: bytes) -> None:
-    """Raises UserError if it cannot be written."""
-    try:
-        durable.write(path, content)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None

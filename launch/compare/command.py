@@ -10,6 +10,7 @@ from otc_dist.comparison.collected import Collected
 from otc_dist.comparison.picture import picture
 from otc_dist.comparison.score_statistics import summarise
 from otc_dist.comparison.scores import ComparisonFolder
+from otc_dist.system import durable
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import say
@@ -64,10 +65,7 @@ def _show(arguments: argparse.Namespace) -> int:
         seeds = max(len(of_arm) for of_arm in found.runs.values())
         over = "1 seed" if seeds == 1 else f"mean ± standard error of {seeds} seeds"
         title = f"{found.dataset}: the recommended policy, {over}"
-        try:
-            arguments.picture.write_text(picture(found.runs, title), encoding="utf-8")
-        except OSError as error:
-            raise UserError(f"cannot write {arguments.picture}: {error.strerror}") from None
+        durable.put(arguments.picture, picture(found.runs, title).encode())
     return 0
 
 

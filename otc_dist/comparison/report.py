@@ -11,7 +11,6 @@ from otc_dist.comparison.scores import ComparisonFolder, Run, write_json
 from otc_dist.description import Description
 from otc_dist.report import html
 from otc_dist.system import durable
-from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.printable import on_page
 
 
@@ -32,10 +31,7 @@ def write(
         **asdict(summary),
     }
     write_json(folder.results, facts)
-    try:
-        durable.write(folder.report, page(base, arms, summary, runs, label).encode())
-    except OSError as error:
-        raise UserError(f"cannot write {folder.report}: {error.strerror}") from None
+    durable.put(folder.report, page(base, arms, summary, runs, label).encode())
 
 
 def page(

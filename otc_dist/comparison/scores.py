@@ -184,10 +184,7 @@ class ComparisonFolder:
 
 def write_json(path: Path, fields: Mapping[str, Any]) -> None:
     """Replace `path` in one step; null stands for NaN. Raises UserError if it cannot be written."""
-    try:
-        durable.write(path, to_json(fields))
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror}") from None
+    durable.put(path, to_json(fields))
 
 
 def to_json(fields: Mapping[str, Any]) -> bytes:

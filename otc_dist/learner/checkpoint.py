@@ -78,11 +78,7 @@ def write(
     """
     about = {"format": FORMAT, **asdict(progressed)}
     about["digest"] = _seal(arrays, about)
-    content = save(dict(arrays), metadata={"otc_dist": json.dumps(about)})
-    try:
-        durable.write(path, content)
-    except OSError as error:
-        raise UserError(f"cannot write the checkpoint {path}: {error.strerror}") from None
+    durable.put(path, save(dict(arrays), metadata={"otc_dist": json.dumps(about)}))
 
 
 def read(path: Path) -> tuple[Arrays, CheckpointMetadata]:

@@ -24,7 +24,7 @@ from otc_dist.spec import AgentSpec
 from otc_dist.steps.noise import to_tensors
 from otc_dist.steps.state import State
 from otc_dist.system import durable
-from otc_dist.terminal.errors import UserError, os_error_line
+from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Float32, all_finite
 
 _MOST_NOISE = 2**24  # random numbers for one observation; more is a mistake in a file, or worse
@@ -181,11 +181,7 @@ class Policy:
             "deployment": self.deployment,
             "digest": self.digest,
         }
-        content = policy_export.export(self._actor, self._state, about, path.suffix)
-        try:
-            durable.write(path, content)
-        except OSError as error:
-            raise UserError(f"cannot write {path}: {os_error_line(error)}") from None
+        durable.put(path, policy_export.export(self._actor, self._state, about, path.suffix))
 
     def __repr__(self) -> str:
         name = self.description.algorithm.name

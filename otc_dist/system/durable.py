@@ -30,6 +30,14 @@ def write(path: Path, content: bytes, mode: int = 0o666) -> None:
         file.write(content)
 
 
+def put(path: Path, content: bytes) -> None:
+    """As `write`. Raises UserError, one line that says why, if it cannot be written."""
+    try:
+        write(path, content)
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror}") from None
+
+
 @contextmanager
 def writing(
     path: Path, suffix: str = ".partial", *, mode: int = 0o666, lasting: bool = True
