@@ -8,6 +8,7 @@ import pytest
 
 from otc_dist.certs import authority
 from otc_dist.launch.__main__ import main
+from otc_dist.launch.plan.new_folder import NewFolder
 from otc_dist.launch.plan.plan import Plan
 from otc_dist.launch.plan.run_record import RunRecord
 from otc_dist.run.folder import RunFolder
@@ -202,7 +203,7 @@ def test_the_same_command_goes_on_with_a_part_of_a_run(
     """And may have moved to another address meanwhile."""
     planned: list[Plan] = []
 
-    def run_plan(plan: Plan, record: RunRecord) -> int:
+    def run_plan(plan: Plan, record: RunRecord, *new: NewFolder) -> int:
         planned.append(plan)
         return 0
 
