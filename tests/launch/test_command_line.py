@@ -171,7 +171,9 @@ def test_shipped_descriptions_resolve_and_keep_their_name(name: str) -> None:
         assert resolve(resolved) == resolved
 
 
-@pytest.mark.parametrize("changes", [[], ["sampling.distance=embedding"], ["sampling.name=balanced"]])
+@pytest.mark.parametrize(
+    "changes", [[], ["sampling.distance=embedding"], ["sampling.name=balanced"]]
+)
 def test_a_quick_look_is_at_the_same_strategy(changes: list[str]) -> None:
     whole, short = (
         descriptions.load("3agent_hopper", changes, None, quick) for quick in (False, True)
