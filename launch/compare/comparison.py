@@ -95,7 +95,7 @@ def prepare(
     Raises:
         UserError: an arm is unknown or does not fit, or nothing could be compared.
     """
-    arms = arms_of.parse_arms(arms_of.usual(loaded) if names is None else names, own)
+    arms = arms_of.parse_arms(",".join(arms_of.USUAL) if names is None else names, own)
     base = resolve(loaded)
     if base.evaluation.episodes < EPISODES and not quick:
         raise UserError(

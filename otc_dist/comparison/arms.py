@@ -35,12 +35,8 @@ MEANINGS = {name: arm.meaning for name, arm in _OF_STRATEGIES.items()} | {NULL: 
 # What no learner can do: `analyses` makes these arms, and a single run cannot take them.
 ANALYSES: Arms = {PERFECT: ("sampling.name=uniform",), ORACLE: share_of("random")}
 MOST_SEEDS = 1000  # of one range; more is a slip of the finger
+# The arms of a comparison that names none.
 USUAL = ("dynamics-share", "typical-share", "random-share", REFERENCE)
-
-
-def usual(base: Description) -> str:
-    """The arms of a comparison that names none, comma-separated."""
-    return ",".join(USUAL)
 
 
 def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:

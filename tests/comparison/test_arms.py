@@ -11,10 +11,10 @@ from otc_dist.comparison.arms import (
     ORACLE,
     PERFECT,
     REFERENCE,
+    USUAL,
     describe,
     parse_arms,
     parse_seeds,
-    usual,
 )
 from otc_dist.comparison.meanings import MEANINGS
 from otc_dist.comparison.scores import ComparisonFolder
@@ -31,7 +31,7 @@ def test_the_reference_and_the_null_arm_are_always_among_the_arms() -> None:
 
 def test_no_usual_arm_needs_a_q(base: Description) -> None:
     without = base.with_assignments("algorithm.name=bremen", "sampling.candidates=512")
-    arms_of.check(without, parse_arms(usual(without)))
+    arms_of.check(without, parse_arms(",".join(USUAL)))
     with pytest.raises(UserError, match="arm otc-value: "):
         arms_of.check(without, parse_arms("otc-value"))
 
