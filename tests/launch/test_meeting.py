@@ -14,6 +14,7 @@ from otc_dist.bus.links import QUICK_PAYLOAD
 from otc_dist.bus.session import Session
 from otc_dist.certs import authority
 from otc_dist.launch.__main__ import main
+from otc_dist.launch.plan.new_folder import NewFolder
 from otc_dist.launch.plan.plan import Plan
 from otc_dist.launch.plan.run_record import RunRecord
 from otc_dist.launch.supervise import observer
@@ -95,7 +96,7 @@ def plan(folder: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> Plan:
     """Of a learner's launcher that has begun when nobody was there."""
     planned: list[Plan] = []
 
-    def run_plan(plan: Plan, record: RunRecord) -> int:
+    def run_plan(plan: Plan, record: RunRecord, *new: NewFolder) -> int:
         planned.append(plan)
         return 0
 
