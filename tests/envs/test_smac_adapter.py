@@ -184,6 +184,7 @@ def test_the_launcher_tunes_it_over_the_bus(tmp_path, tiny_flags):
     command = [
         *(sys.executable, "-m", "otc_dist.launch", "5m_vs_6m", "--out", "run", *tiny_flags),
         *("--set", "env.id=smac/5m_vs_6m", "--set", "dataset.name=random"),
+        *("--set", "algorithm.name=discrete-cql"),
         *("--set", "evaluation.episodes=11", "--set", "deployment.count=1"),
     ]
     ended = subprocess.run(
