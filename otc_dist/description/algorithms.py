@@ -23,7 +23,8 @@ class AlgorithmSection(Section):
         plans: whether it needs to know the task.
         update: milliseconds of one core for an update, compiled, at Table 3's sizes
             (benchmarks/algorithms.py).
-        brief: assignments with which the same code is compiled in less time.
+        brief: assignments with which the same code runs in less time: where it is only compiled,
+            and in a quick look.
     """
 
     tuning_updates: ClassVar[int] = 4000

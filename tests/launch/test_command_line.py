@@ -179,6 +179,8 @@ def test_a_quick_look_is_at_the_same_strategy(changes: list[str]) -> None:
         descriptions.load("3agent_hopper", changes, None, quick) for quick in (False, True)
     )
     assert short.sampling.name == whole.sampling.name
+    assert short.algorithm.brief == ("algorithm.improvements=1",)
+    assert "improvements = 1\n" in short.to_toml() and "improvements = 50\n" in whole.to_toml()
 
 
 def test_set_wins_over_quick() -> None:
