@@ -6,13 +6,14 @@ import re
 import runpy
 import shutil
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from otc_dist.comparison import collected, tables
+from otc_dist.comparison.arms import NULL
 from otc_dist.comparison.intervals import Difference
 from otc_dist.comparison.judgement import over_deployments, recommended, returns
 from otc_dist.comparison.mechanism import table
@@ -148,6 +149,11 @@ def by_t(found: Difference) -> str:
     return f"{found.mean:+,.0f} [{found.t_low:+,.0f}, {found.t_high:+,.0f}]"
 
 
+# The default algorithm of a robot's description.
+DEFAULTS = {"Hopper": "bremen", "Walker2d": "td3bc", "HalfCheetah": "td3bc"}
+
+
+@cache
 def default_runs() -> dict[str, dict[str, list[Run]]]:
     """The scores of every robot's default."""
     return {
@@ -156,21 +162,19 @@ def default_runs() -> dict[str, dict[str, list[Run]]]:
     }
 
 
-# The default algorithm of a robot's description.
-DEFAULTS = {"Hopper": "bremen", "Walker2d": "td3bc", "HalfCheetah": "td3bc"}
+def over_pi_0(runs: Sequence[Run], of: Callable[[Run], float | None]) -> Difference:
+    """What `of` gives of a run, minus pi_0's return."""
+    return Difference.of({run.seed: (of(run) or 0.0) - returns(run)[0] for run in runs})
 
 
 @pytest.mark.parametrize("robot", DEFAULTS)
 def test_what_the_default_brings_is_told_in_the_measured_numbers(robot: str) -> None:
-    folder = f"results/tuning/{DEFAULTS[robot]}-{robot.lower()}"
-    runs = collected.collect(ROOT / folder).runs
+    runs = default_runs()[robot]
     for arm, name in (("uniform", robot), ("uniform-null", f"{robot}, null arm")):
         first = statistics.mean(returns(run)[0] for run in runs[arm])
         found = {run.seed: recommended(run) or 0.0 for run in runs[arm]}
-        gain = Difference.of({run.seed: found[run.seed] - returns(run)[0] for run in runs[arm]})
-        over = Difference.of(
-            {run.seed: over_deployments(run) - returns(run)[0] for run in runs[arm]}
-        )
+        gain = over_pi_0(runs[arm], recommended)
+        over = over_pi_0(runs[arm], over_deployments)
         relative = statistics.median(gained(run) for run in runs[arm])
         assert (
             f"| {name} | {first:,.0f} | {statistics.mean(found.values()):,.0f} | {by_t(gain)} |"
@@ -181,6 +185,19 @@ def test_what_the_default_brings_is_told_in_the_measured_numbers(robot: str) -> 
     medians = [statistics.median(map(gained, of["uniform"])) for of in default_runs().values()]
     by = f"by {medians[0]:.0%}, {medians[1]:.0%} and {medians[2]:.0%} in the median"
     assert by in said("README.md")
+
+
+def test_what_bremen_brings_is_told_in_the_measured_numbers() -> None:
+    page, runs = said("docs/tuning.md"), default_runs()["Hopper"]
+    for arm, name in (("uniform", "uniform"), (NULL, "null arm")):
+        brought = (recommended, over_deployments, lambda run: returns(run)[-1])
+        cells = " | ".join(by_t(over_pi_0(runs[arm], of)) for of in brought)
+        assert f"| {name} | {cells} |" in page
+    ours, null = (
+        {run.seed: recommended(run) or 0.0 for run in runs[arm]} for arm in ("uniform", NULL)
+    )
+    apart = abs(Difference.of({seed: ours[seed] - null[seed] for seed in ours}).mean)
+    assert f"{len(ours)} have been run" in page and f"differ by {apart:.0f} in the mean" in page
 
 
 @pytest.mark.parametrize("robot", ["Hopper", "Walker2d", "HalfCheetah"])
