@@ -77,7 +77,7 @@ def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -
     if seed is not None:
         changes.append(f"seed={seed}")
     if quick:  # by the same strategy: settings of OTC's do not ask for it here
-        whole = Description.load(path, changes)
-        strategy = f"sampling.name={whole.sampling.name}"
-        changes = [*QUICK, *whole.algorithm.brief, strategy, *changes]
+        strategy = f"sampling.name={Description.load(path, changes).sampling.name}"
+        changes = [*QUICK, strategy, *changes]
+        changes = [*Description.load(path, changes).algorithm.brief, *changes]
     return Description.load(path, changes).trusted()

@@ -161,26 +161,24 @@ class Description(Section):
     def with_assignments(self, *assignments: str) -> Self:
         """A copy with `section.key=value` assignments applied; errors as in `load`.
 
-        With another `algorithm.name` the section keeps what is not the old algorithm's default;
-        with another `sampling.name` what strategies of this package know; with another environment
-        the data set is the same level of it. A setting that the strategy has not asks for the one
-        that has it.
+        With another `algorithm.name` the section keeps what is not the old algorithm's default and
+        the new one has too; with another `sampling.name` what strategies of this package know; with
+        another environment the data set is the same level of it. A setting that the strategy has
+        not asks for the one that has it.
         """
         data = self.model_dump(mode="json")
         data["dataset"]["name"] = self.dataset.name.removeprefix(f"{self.env.id}/")
         changed = self.algorithm.model_dump(mode="json", exclude_defaults=True)
         data["algorithm"] = {"name": self.algorithm.name, **changed}
-        asked = {}
-        for text in assignments:
-            key, _, value = text.partition("=")
-            if key.startswith("sampling."):
-                asked[key.removeprefix("sampling.").strip()] = value.strip(" '\"")
+        algorithm = _asked("algorithm", assignments).get("name", self.algorithm.name)
+        if algorithm != self.algorithm.name:
+            data["algorithm"] = ALGORITHMS.kept(data["algorithm"], algorithm)
+        asked = _asked("sampling", assignments)
         if "name" not in asked and not set(asked) <= set(type(self.sampling).model_fields):
             asked["name"] = STRATEGIES.with_settings(asked)
             assignments = (*assignments, f"sampling.name={asked['name']}")
         if asked.get("name", self.sampling.name) != self.sampling.name:
-            known = STRATEGIES.settings()
-            data["sampling"] = {key: x for key, x in data["sampling"].items() if key in known}
+            data["sampling"] = STRATEGIES.kept(data["sampling"], asked["name"])
         return self.build(data, assignments)
 
     @property
@@ -241,6 +239,16 @@ class Description(Section):
         """Identifies what the offline policy pi_0 depends on, as `digest` does the whole."""
         parts = {"seed", "dataset", "algorithm", "embedding", "dynamics", "offline", "engine"}
         return _hash(self.model_dump_json(include=parts) + self.env.id)
+
+
+def _asked(section: str, assignments: Iterable[str]) -> dict[str, str]:
+    """Setting -> value, as written, of the assignments to a section."""
+    pairs = (text.partition("=")[::2] for text in assignments)
+    return {
+        key.removeprefix(f"{section}.").strip(): value.strip(" '\"")
+        for key, value in pairs
+        if key.startswith(f"{section}.")
+    }
 
 
 def progress(deployment: int, count: int) -> float:

@@ -82,6 +82,16 @@ class Kind(Generic[S]):
         """The settings that may stand in a section, by the name in it."""
         return list(self.section(str(self._name(data))).model_fields)
 
+    def kept(self, settings: dict[str, object], name: str) -> dict[str, object]:
+        """Those of the settings that the section of another name may have too.
+
+        All, of a name that is not known or is not loaded: what is wrong shows where they are read.
+        """
+        if name not in self._places and not user_code.allowed(name):
+            return settings
+        keys = self.keys({"name": name})
+        return {key: value for key, value in settings.items() if key in keys}
+
     def _name(self, data: object) -> object:
         first = next(iter(self))
         return data.get("name", first) if isinstance(data, dict) else first

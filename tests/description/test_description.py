@@ -74,6 +74,14 @@ def test_another_algorithm_brings_its_own_defaults() -> None:
     assert (large.algorithm.hidden, large.algorithm.batch_size) == ((256, 256), 64)
 
 
+def test_another_algorithm_keeps_no_setting_that_it_has_not() -> None:
+    models = minimal("algorithm.name=bremen", "algorithm.improvements=1", "algorithm.batch_size=64")
+    other = models.with_assignments("algorithm.name = 'awac'")
+    assert other.algorithm.batch_size == 64 and not hasattr(other.algorithm, "improvements")
+    with pytest.raises(UserError, match=r"unknown key 'algorithm\.improvements'"):
+        models.with_assignments("algorithm.name=awac", "algorithm.improvements=2")
+
+
 @pytest.mark.parametrize(
     ("assignments", "name"),
     [
