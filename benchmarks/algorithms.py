@@ -27,14 +27,10 @@ from functools import partial
 import d3rlpy_peer
 import jax_peer
 import memory
+import plain
 import torch
-from plain.awac import PlainAwac
-from plain.bcq import PlainBcq
 from plain.bremen import BremenProducts, PlainBremen
-from plain.cql import PlainCql
-from plain.discrete_cql import PlainDiscreteCql
 from plain.parts import Training
-from plain.td3bc import PlainTd3Bc
 from timing import (
     ENVS,
     OFFLINE,
@@ -60,13 +56,6 @@ from otc_dist.transitions import Transitions
 
 TARGETS = {"CORL's way": 2.5, "d3rlpy": 2.5, "JAX": 1.0}  # times as fast as each
 UPDATES_AN_IMPROVEMENT = 40  # BREMEN's defaults: L = 2,000 updates, then 50 improvements
-PLAIN = {
-    "bcq": PlainBcq,
-    "awac": PlainAwac,
-    "cql": PlainCql,
-    "discrete-cql": PlainDiscreteCql,
-    "td3bc": PlainTd3Bc,
-}
 
 
 @dataclass
@@ -84,11 +73,12 @@ def entries(name: str, rounds: int) -> list[Entry]:
 
 
 def entry(name: str, rounds: int) -> Entry:
+    of_modules = plain.version(name)
     learner, spec, data, online = tuned(name, rounds)
     section = learner.description.algorithm
     made = Entry(name, Timed(name, tuning(learner, online)), [], {})
-    plain = PLAIN[name](section, spec.observation_size, spec.choices or spec.action_size)
-    training = Training(plain, data, section.batch_size)
+    peer = of_modules(section, spec.observation_size, spec.choices or spec.action_size)
+    training = Training(peer, data, section.batch_size)
     made.peers.append(Timed("CORL's way", repeated(training.update)))
     if reason := jax_peer.missing(name):
         made.absent["JAX"] = reason
@@ -97,9 +87,9 @@ def entry(name: str, rounds: int) -> Entry:
     if reason := d3rlpy_peer.missing(name):
         made.absent["d3rlpy"] = reason
     else:
-        peer = d3rlpy_peer.Peer(section, spec, data)
-        made.peers.append(Timed("d3rlpy", repeated(peer.update)))
-        made.peers.append(Timed("  its sampling left out", repeated(peer.again)))
+        theirs = d3rlpy_peer.Peer(section, spec, data)
+        made.peers.append(Timed("d3rlpy", repeated(theirs.update)))
+        made.peers.append(Timed("  its sampling left out", repeated(theirs.again)))
     return made
 
 
@@ -111,11 +101,11 @@ def bremen(rounds: int) -> list[Entry]:
         section = learner.description.algorithm
         assert isinstance(section, BremenSection)
         sizes = spec.observation_size, spec.action_size
-        plain = PlainBremen(section, *sizes, registry.task(learner.description.env.id))
-        training = Training(plain, data, section.batch_size)
-        plain.fit_statistics(training.fields)
+        peer = PlainBremen(section, *sizes, registry.task(learner.description.env.id))
+        training = Training(peer, data, section.batch_size)
+        peer.fit_statistics(training.fields)
         if count:
-            peers = [Timed("CORL's way", repeated(partial(tune, plain, training), times=count))]
+            peers = [Timed("CORL's way", repeated(partial(tune, peer, training), times=count))]
         else:
             products = BremenProducts(section, *sizes)
             peers = [
@@ -128,10 +118,10 @@ def bremen(rounds: int) -> list[Entry]:
     return made
 
 
-def tune(plain: PlainBremen, training: Training) -> None:
+def tune(peer: PlainBremen, training: Training) -> None:
     for _ in range(UPDATES_AN_IMPROVEMENT):
         training.update()
-    plain.improve(training.sample()[0], plain.sample_improvement_noise(training.batch_size))
+    peer.improve(training.sample()[0], peer.sample_improvement_noise(training.batch_size))
 
 
 def tuned(

@@ -6,7 +6,10 @@ from typing import Any
 import numpy as np
 
 from otc_dist.description import Description
+from otc_dist.description.distances import DISTANCES
+from otc_dist.description.kinds import STRATEGIES
 from otc_dist.learner.learner import Learner, Progress
+from otc_dist.otc.samplers.correction import ACCEPTANCES
 from otc_dist.spec import AgentSpec
 from otc_dist.transitions import Transitions
 
@@ -28,6 +31,25 @@ ARMS = {
     "online-only": ("sampling.name=online-only",),
     "balanced": ("sampling.name=balanced",),
 }
+
+
+def _missing() -> dict[str, tuple[str, ...]]:
+    """An arm for everything in a registry of which none of these is made."""
+    tried = {"sampling.name=otc"} | {text for arm in ARMS.values() for text in arm}
+    registries = (
+        ("name", STRATEGIES, ()),
+        ("distance", DISTANCES, ("sampling.acceptance=share",)),
+        ("acceptance", ACCEPTANCES, ("sampling.distance=typical",)),
+    )
+    return {
+        name: (choice, *rest)
+        for key, names, rest in registries
+        for name in names
+        if (choice := f"sampling.{key}={name}") not in tried
+    }
+
+
+ARMS |= _missing()
 SMALL: dict[str, Any] = {
     "name": "small",
     "env": {"id": "hopper-3x1"},

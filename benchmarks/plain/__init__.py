@@ -9,3 +9,23 @@ its own minibatch and noise (`parts.Training`).
 
 States are standardised beforehand where an algorithm wants that (`standardised`).
 """
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from otc_dist.description.kinds import ALGORITHMS
+from otc_dist.terminal.errors import UserError
+
+
+def version(name: str) -> Any:
+    """The plain version of algorithm `name`: the class of its class's name in the file of its name.
+
+    Raises:
+        UserError: there is none yet.
+    """
+    file, kind = name.replace("-", "_"), f"Plain{ALGORITHMS.find(name).__name__}"
+    found = import_module(f".{file}", __name__) if find_spec(f".{file}", __name__) else None
+    if not hasattr(found, kind):
+        raise UserError(f"{name} has no plain version: write {kind} in benchmarks/plain/{file}.py")
+    return getattr(found, kind)

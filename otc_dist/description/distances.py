@@ -42,7 +42,6 @@ class DistanceFacts:
 # What samplers report before a deployment's updates. Of acceptance by rank: alpha and 𝔻 (Eq. 4); of
 # the others: the share of B_k that is accepted.
 SAMPLER_METRICS = ("alpha", "similarity", "accepted")
-FITS = ("embedding", "dynamics")  # sections, and phases of a learner, of what distances fit
 _HERE = "otc_dist.otc.distances"
 
 DISTANCES: dict[str, DistanceFacts] = {
@@ -98,6 +97,10 @@ DISTANCES: dict[str, DistanceFacts] = {
         "a random number per deployment: the control of all others",
     ),
 }
+
+
+# Sections of the description, and phases of a learner, of what distances fit.
+FITS = tuple(dict.fromkeys(facts.fits for facts in DISTANCES.values() if facts.fits))
 
 
 def facts_of(name: str) -> DistanceFacts:

@@ -59,7 +59,7 @@ class Kind(Generic[S]):
         if is_code(name) and not user_code.allowed(name):
             return self._unread
         section: type[S] = self.find(name).Section
-        return section if "name" in section.model_fields else _named(section, name)
+        return section if name in self._places else _named(section, name)
 
     def chosen(self, data: object) -> S:
         """The section that a description holds, from its settings.
@@ -184,7 +184,7 @@ def _outside(reference: str, base: type[Section]) -> Any:
 
 @cache
 def _named(section: type[S], reference: str) -> type[S]:
-    """The section with a name of its own: how it was named is how it is found again."""
+    """The section by another name than it may have: how it was named is how it is found again."""
     made: type[S] = type(
         section.__name__,
         (section,),

@@ -48,7 +48,8 @@ class FirstEntry:
 
 def describe(name: str, *assignments: str, env: str = "hopper-3x1") -> Description:
     """Small, tuned by OTC with d_e, which every algorithm can."""
-    algorithm = {"name": name, "hidden": [8, 8], "batch_size": BATCH, **SMALLER.get(name, {})}
+    sizes = ALGORITHMS.kept({"hidden": [8, 8], "batch_size": BATCH}, name)
+    algorithm = {"name": name, **sizes, **SMALLER.get(name, {})}
     data = {
         **SMALL,
         "env": {"id": env},

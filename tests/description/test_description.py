@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.description import Description
+from otc_dist.description import Description, user_code
+from otc_dist.description.distances import DISTANCES
+from otc_dist.description.sampling import Cost
 from otc_dist.terminal.errors import UserError
 
 MINIMAL = 'name = "x"\n[env]\nid = "hopper-3x1"\n[dataset]\nname = "hopper-3x1/medium"\n'
@@ -80,6 +82,26 @@ def test_another_algorithm_keeps_no_setting_that_it_has_not() -> None:
     assert other.algorithm.batch_size == 64 and not hasattr(other.algorithm, "improvements")
     with pytest.raises(UserError, match=r"unknown key 'algorithm\.improvements'"):
         models.with_assignments("algorithm.name=awac", "algorithm.improvements=2")
+
+
+def test_a_file_of_the_package_works_where_a_user_copies_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its section has a name, and is found by another."""
+    monkeypatch.setattr(user_code, "_allowed", set())
+    name = "otc_dist.algorithms.awac:Awac"
+    copied = minimal(f"algorithm.name={name}", "algorithm.temperature=2").trusted()
+    assert (copied.algorithm.name, copied.with_assignments("seed=1").algorithm.name) == (name, name)
+    assert f'name = "{name}"' in copied.to_toml()
+
+
+def test_scores_once_a_deployment_cost_no_update_anything() -> None:
+    """Of a distance that no minibatch can be matched by, and of any by another rule than rank."""
+    for text in ("typical", "dynamics"):
+        cost = minimal(f"sampling.distance={text}", "sampling.acceptance=rank").sampling.cost
+        assert cost == Cost(scoring=DISTANCES[text].scoring)
+    rank = ("sampling.distance=value", "sampling.acceptance=rank")
+    assert minimal(*rank).sampling.cost == Cost(update=DISTANCES["value"].selection)
 
 
 @pytest.mark.parametrize(

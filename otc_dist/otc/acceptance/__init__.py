@@ -19,5 +19,6 @@ def acceptance(name: str) -> Accept:
     Raises:
         UserError: it is code of the user's own that is not allowed, or cannot be loaded.
     """
-    accept: Accept = user_code.named(ACCEPTANCES.get(name, name), trusted=name in ACCEPTANCES)
+    ours = name in ACCEPTANCES
+    accept: Accept = user_code.named(ACCEPTANCES[name].place if ours else name, trusted=ours)
     return accept

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
@@ -32,10 +32,18 @@ _SHARE = ("sampling.name=otc", "sampling.acceptance=share", "sampling.share=0.1"
 _PAPER = ("sampling.corrects=all", "sampling.normaliser=paper", "sampling.with_replacement=true")
 
 
+class Rule(NamedTuple):
+    """A rule of acceptance: the `module:function` that makes a sampler by it, and its meaning."""
+
+    place: str
+    meaning: str
+
+
+_RULES = "otc_dist.otc.acceptance"
 ACCEPTANCES = {
-    "rank": "otc_dist.otc.acceptance.rank:create",
-    "share": "otc_dist.otc.acceptance.share:create",
-    "conformal": "otc_dist.otc.acceptance.conformal:create",
+    "rank": Rule(f"{_RULES}.rank:create", "Eq. 3, by the rank in a minibatch"),
+    "share": Rule(f"{_RULES}.share:create", "the best share of B_k"),
+    "conformal": Rule(f"{_RULES}.conformal:create", "what D_k itself could have looked like"),
 }
 
 
@@ -124,8 +132,7 @@ class CorrectionSection(SamplingSection):
     )
     acceptance: AcceptanceName = Field(
         default="share",
-        description="rank: Eq. 3, by the rank in a minibatch; share: the best share of B_k;"
-        " conformal: what D_k itself could have looked like",
+        description="; ".join(f"{name}: {rule.meaning}" for name, rule in ACCEPTANCES.items()),
     )
     corrects: Literal["values", "all"] = Field(
         default="values",
@@ -163,7 +170,7 @@ class CorrectionSection(SamplingSection):
     @property
     def matches_minibatches(self) -> bool:
         """Whether distances change from update to update: by a minibatch D, or with Q."""
-        return self.matching == "minibatch" or self.distance == "value"
+        return self.matching == "minibatch" or facts_of(self.distance).needs_q
 
     @property
     def code(self) -> tuple[str, ...]:
@@ -180,7 +187,7 @@ class CorrectionSection(SamplingSection):
     @property
     def cost(self) -> Cost:
         facts = facts_of(self.distance)
-        within = self.acceptance == "rank" and self.matches_minibatches
+        within = facts.per_update and self.acceptance == "rank" and self.matches_minibatches
         return Cost(update=facts.selection) if within else Cost(scoring=facts.scoring)
 
     def check(self, algorithm: AlgorithmSection, deployed: int) -> None:
