@@ -38,6 +38,7 @@ class Joint:
     next_observations: tuple[Float32, ...]  # N x (T, observation_size), the true successors s'
     terminated: Bool  # (T,) the task ended here: V(s') = 0
     truncated: Bool  # (T,) a time limit ended the episode: V(s') is not 0
+    # Both: the simulator broke off, and the step did not happen (`Transitions.sound`).
 
     def of_agent(self, index: int) -> "Transitions":
         """What agent `index` may see: its own transitions, and nothing of the others."""

@@ -53,6 +53,17 @@ def test_every_file_and_module_that_is_named_exists(page: Path) -> None:
         assert find_spec(module), module
 
 
+def test_every_module_that_the_code_speaks_of_exists() -> None:
+    """Named by its whole path, or by its name alone where it lies in the same folder."""
+    rooms = "|".join(path.name for path in (ROOT / "otc_dist").iterdir() if path.is_dir())
+    tops = "otc_dist|services|launch|benchmarks|tests|examples|docs"
+    named = re.compile(rf"(?<![\w./-])((?:{tops}|{rooms})/[\w/]+\.py)\b")
+    for top in ("otc_dist", "services", "launch"):
+        for source in (ROOT / top).rglob("*.py"):
+            for path in named.findall(source.read_text()):
+                assert (ROOT / path).is_file(), f"{source.relative_to(ROOT)} speaks of {path}"
+
+
 @EACH_PAGE
 def test_lines_are_short(page: Path) -> None:
     """All but rows of tables, what programs printed, and comments that nobody sees."""

@@ -29,7 +29,7 @@ class Fault:
     """One kind of fault. Used as a context manager around a run.
 
     Attributes:
-        phases: of `chaos_run.PHASES`, in which it strikes.
+        phases: of `disturbed_run.PHASES`, in which it strikes.
         flags: of the launcher; a run with them ends as one without.
         changes: further ones, with which a run ends differently: it is compared with another one.
         small: the run's folder lies on the sandbox's small disk.

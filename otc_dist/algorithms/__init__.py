@@ -1,4 +1,8 @@
-"""Base algorithms, one file each, behind one interface."""
+"""Base algorithms, one file each, behind one interface (interface.py).
+
+`ALGORITHMS` in `otc_dist/description/kinds.py` lists them. critics.py and gaussian.py are parts of
+several.
+"""
 
 from __future__ import annotations
 

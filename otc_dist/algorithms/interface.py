@@ -1,8 +1,13 @@
 """What every algorithm offers: pure functions of (state, batch, noise).
 
-An algorithm object holds sizes and hyper-parameters only. Everything that changes lies in the
-state, a dictionary of tensors; everything random comes in as noise. So the same functions run
-compiled, in a CUDA graph, or eagerly, and a test can run them in float64.
+An algorithm is made as `Kind(observation_size, action_size, settings)`, with the `Task` behind them
+where its section `plans`; of discrete actions, action_size is how many there are to choose from.
+`Kind.Section` is the class of its settings (`AlgorithmSection`).
+
+The object holds sizes and hyper-parameters only, and is hashable, as a frozen dataclass is: equal
+ones are compiled once. Everything that changes lies in the state, a dictionary of tensors;
+everything random comes in as noise. So the same functions run compiled, in a CUDA graph, or
+eagerly, and a test can run them in float64.
 """
 
 from __future__ import annotations
@@ -69,6 +74,10 @@ class Algorithm(Protocol):
     def initial_state(self, random: np.random.Generator, offline: Batch) -> dict[str, np.ndarray]:
         """Fresh parameters, targets, moments, the update counter, and statistics of B_0.
 
+        Keys are those of `fresh_state`: a network's name, `NAME_moments` of its optimizer,
+        `NAME_target`; and `updates`, which every algorithm has. Those that begin with `sampler_`
+        are the samplers'.
+
         Args:
             offline: all of B_0, by which inputs are normalised from then on.
         """
@@ -83,6 +92,7 @@ class Algorithm(Protocol):
     ) -> tuple[State, Tensor]:
         """One gradient update: the new state, and the values of `metric_names`.
 
+        It counts itself in `updates`, changes nothing in place, and keeps to the state's precision.
         Keys of the state that are not the algorithm's are passed on. `torch.func.vmap` may map it
         over the states of several seeds.
 
@@ -104,10 +114,13 @@ class Algorithm(Protocol):
 
 @runtime_checkable
 class Critic(Protocol):
-    """What an algorithm with a Q offers beside `Algorithm`; d_q needs it."""
+    """What an algorithm with a Q offers beside `Algorithm`; d_q needs it.
+
+    `has_q` of its section says whether it does.
+    """
 
     def q(self, state: State, observations: Tensor, actions: Tensor) -> Tensor:
-        """Q(s, a_i) (B,) of the online critic, without its gradient's sake."""
+        """Q(s, a_i) (B,) of the critic that learns, not of its target; no gradient is taken."""
         ...
 
     def value_noise_spec(self, count: int, samples: int) -> Mapping[str, NoiseSpec]:

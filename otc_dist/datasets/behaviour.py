@@ -1,7 +1,7 @@
 """Behaviour policies: shipped snapshots of PPO training, run in NumPy.
 
 The card of a task (`snapshots/<task>/card.json`) says how its snapshots were trained and what
-they score; `behaviour_training.py` is the script that made them.
+they score; `behaviour_training` is the command that made them.
 """
 
 import json

@@ -257,7 +257,7 @@ def progress(deployment: int, count: int) -> float:
 
 
 def _summarised(data: dict[str, object]) -> list[object]:
-    """The values of `TOLD`, None where a section or a key is missing."""
+    """The values of `SUMMARISED`, None where a section or a key is missing."""
     sections = [(data.get(section), key) for section, key in SUMMARISED]
     return [section.get(key) if isinstance(section, dict) else None for section, key in sections]
 

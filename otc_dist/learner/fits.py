@@ -50,7 +50,7 @@ class Fits:
         report: Report,
         *distances: str,
     ) -> None:
-        """Fit what these distances miss, or what all miss if none is named."""
+        """Fit what these distances lack; without names, what all lack."""
         for distance in distances or self._fits:
             features = self._fits[distance]
             if features.state is None:

@@ -208,6 +208,7 @@ class Learner:
     def tune(self, deployment: int, data: Transitions, report: Report) -> None:
         """Merge D_k, measure, and make L updates (lines 5 to 16 of Algorithm 1).
 
+        An algorithm that improves its policy afterwards does so from the one that was deployed.
         Where agents tune in turns, the updates are made at every N-th deployment only. Optimizers
         and targets are kept from before. Afterwards `tuned == deployment`.
 

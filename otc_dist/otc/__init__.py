@@ -1,4 +1,8 @@
-"""Online transition correction: distances, acceptance, samplers."""
+"""Online transition correction, and the strategies that it is compared with.
+
+A sampler (samplers/) chooses the rows of an update. OTC's is made of a distance (distances/), which
+says how unlike the newest deployment's a transition is, and a rule of acceptance (acceptance/).
+"""
 
 from __future__ import annotations
 

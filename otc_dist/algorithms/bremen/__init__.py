@@ -1,0 +1,1 @@
+"""BREMEN, in parts: algorithm.py puts them together."""

@@ -82,7 +82,7 @@ class Bremen:
     """BREMEN for one agent with continuous actions in [-1, 1].
 
     A policy is N(tanh f(s), std^2), bounded where it acts. Deployed is its mean. Rollouts and the
-    policy's start use averages of the models' and the clone's weights.
+    offline policy's start use averages of the models' and the clone's weights.
 
     Attributes:
         observation_size, action_size: the agent's own.

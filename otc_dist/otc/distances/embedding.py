@@ -1,6 +1,7 @@
 """d_e, the paper's: transitions are matched and compared in one learned embedding mu(s, a, s').
 
-The embedding is the encoder of a conditional VAE (otc/embedding.py), trained on B_0 and frozen.
+The embedding is the encoder of a conditional VAE (otc_dist/otc/embedding.py), trained on B_0 and
+frozen.
 """
 
 import logging

@@ -1,7 +1,8 @@
 """What a distance is: how unlike the newest deployment's transitions a transition is.
 
-Every distance can score all of B_k once a deployment. Those of the paper can also be computed
-within the two minibatches of one update (`Matching`), as Algorithm 1 has it.
+Every distance can score all of B_k once a deployment. One that matches each transition with one of
+D_k, as the paper's do, can also be computed within the two minibatches of one update (`Matching`),
+as Algorithm 1 has it.
 """
 
 from collections.abc import Callable
@@ -37,7 +38,12 @@ class Scores(NamedTuple):
 
 
 class Distance(Protocol):
-    """A distance, as the sampler of one agent asks for it."""
+    """A distance, as the sampler of one agent asks for it.
+
+    Its class has a class method `create(setting: Setting)` that makes it and, where it keeps
+    something of every transition, `features(setting: Setting, engine: Engine)` that makes its
+    `Features`: they are then `Data.features`, beside the rows.
+    """
 
     def scores(self, held: MergedData, *, exclude_self: bool) -> Scores:
         """Scores of all of B_k, by what D_k holds.
@@ -79,9 +85,10 @@ class Features(Protocol):
     """What a distance keeps of every transition beside its row: fit to B_0, then frozen.
 
     Attributes:
-        name: of the phase that fits them, and of their part of a checkpoint.
+        name: of the phase that fits them, and of their part of a checkpoint. `fits` of the
+            distance's entry in `DISTANCES` says it too, if the fit takes updates.
         size: numbers of a transition.
-        updates: that the fit takes.
+        updates: that the fit takes; 0: it takes no time.
         state: what was fit; None before.
     """
 

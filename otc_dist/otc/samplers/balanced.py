@@ -86,7 +86,7 @@ class Balanced(Sampler):
     """Balanced Replay over B_k.
 
     What it learns lies in the state: `sampler_density` (n,), its `_moments` (2, n), the number of
-    `sampler_updates`, and `sampler_priorities` with `sampler_sums` (otc/priorities.py).
+    `sampler_updates`, and `sampler_priorities` with `sampler_sums` (priorities.py).
 
     Attributes:
         capacity: rows of the replay buffer, filled or not.

@@ -46,9 +46,8 @@ class MergedData(NamedTuple):
     extent: Extent
     engine: Engine
     random: Random  # keyed by this deployment as well
-    kept: Mapping[str, float] = MappingProxyType(
-        {}
-    )  # `Preparation.kept` of the deployment before, if any
+    # `Preparation.kept` of the deployment before, if any.
+    kept: Mapping[str, float] = MappingProxyType({})
 
 
 class Preparation(NamedTuple):
@@ -75,12 +74,13 @@ Gathered = dict[str, "Tensor"]
 
 
 class Sampler:
-    """A sampling strategy. What one learns lies in the brain's state, under keys `sampler_*`.
+    """A sampling strategy. What one learns lies in the learner's state, under keys `sampler_*`.
 
-    What it does not say is as of one that learns nothing and looks at no row that it samples.
+    `sample_indices` and `select` are its own. The other methods are, where it does not define them,
+    those of one that learns nothing and looks at none of the rows that it draws.
 
     Attributes:
-        Section: its settings; of those that a description can choose.
+        Section: the class of its settings. Samplers that no description names have none.
     """
 
     Section: ClassVar[type[SamplingSection]]
