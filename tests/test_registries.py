@@ -4,6 +4,8 @@ forgotten is told with the place where it belongs.
 
 import pkgutil
 import re
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -168,6 +170,24 @@ def test_every_description_is_in_the_table_of_tasks() -> None:
     text = (ROOT / "docs" / "tasks.md").read_text()
     for name in descriptions.shipped():
         assert re.search(rf"^\|.*`{name}`", text, re.M), f"{name} has no row in docs/tasks.md"
+
+
+WITHOUT_TORCH = """
+import sys
+from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
+for name, kind in [(name, kind) for kind in (ALGORITHMS, STRATEGIES) for name in kind]:
+    kind.section(name)
+    if "torch" in sys.modules:
+        sys.exit(f"the file of {name}, or what it imports, imports torch: see system/lazy.py")
+"""
+
+
+def test_settings_are_read_without_torch() -> None:
+    """By the launcher and the env host, which have no use for it."""
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_TORCH], stderr=subprocess.PIPE, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("name", list(ALGORITHMS))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from otc_dist.datasets.names import DatasetName
 from otc_dist.description import Description
 from otc_dist.terminal.errors import unknown
 from otc_dist.terminal.parser import Parser
@@ -22,6 +23,7 @@ QUICK = (
     "sampling.references=400",
     'engine.name="eager"',
 )
+QUICK_DEPLOYED = 400  # transitions of a deployment, of those 8,000
 QUICK_LABEL = "a quick look, not a result"
 QUICK_HELP = f"little data and few updates: {QUICK_LABEL}"
 
@@ -76,8 +78,20 @@ def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -
     path, changes = find(name), list(assignments)
     if seed is not None:
         changes.append(f"seed={seed}")
-    if quick:  # by the same strategy: settings of OTC's do not ask for it here
-        strategy = f"sampling.name={Description.load(path, changes).sampling.name}"
-        changes = [*QUICK, strategy, *changes]
-        changes = [*Description.load(path, changes).algorithm.brief, *changes]
+    if quick:
+        asked = Description.load(path, changes)
+        # By the same strategy: settings of OTC's do not ask for it here.
+        strategy = f"sampling.name={asked.sampling.name}"
+        sizes = (*QUICK, *_of_imported(asked.dataset.name), strategy)
+        brief = Description.load(path, [*sizes, *changes]).algorithm.brief
+        changes = [*brief, *sizes, *changes]
     return Description.load(path, changes).trusted()
+
+
+def _of_imported(dataset: str) -> tuple[str, ...]:
+    """What makes a look at imported data quick, which come in the size that they have."""
+    env_id, _, level = dataset.rpartition("/")
+    name = DatasetName(env_id, level)
+    if name.source or not (sizes := name.sizes()):
+        return ()
+    return "dataset.transitions=0", f"deployment.fraction={min(1.0, QUICK_DEPLOYED / sizes[-1])}"

@@ -119,8 +119,8 @@ def command_line() -> Parser:
         "--env",
         default="",
         metavar="ENVIRONMENT",
-        help="for example hopper-3x1; default: what the logs say, or the team of the robot that "
-        "FILE names",
+        help="for example hopper-3x1, or module:function of your own, which is then run; default: "
+        "what the logs say, or the team of the robot that FILE names",
     )
     importing.add_argument(
         "--mapping",

@@ -11,7 +11,7 @@ from otc_dist.envs import (
 from otc_dist.envs.base import BatchedEnv
 from otc_dist.envs.family import Family, RandomData
 from otc_dist.spec import Task, TeamSpec
-from otc_dist.terminal.errors import unknown
+from otc_dist.terminal.errors import UserError, unknown
 from otc_dist.transitions import Float32, Float64
 
 _FAMILIES = (
@@ -31,7 +31,7 @@ def _found(env_id: str) -> Family | None:
 def _family(env_id: str) -> Family:
     family = _found(env_id)
     if family is None:
-        raise unknown("environment", env_id, env_ids())
+        raise UserError(f"{unknown('environment', env_id, env_ids())}; your own is module:function")
     return family
 
 

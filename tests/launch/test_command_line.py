@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from otc_dist.datasets.names import DatasetName
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.plan import descriptions, plan
 from otc_dist.launch.run.resolve import resolve
@@ -38,6 +39,7 @@ from .short import SHORT
         (["predator_prey", "--set", "env.agents=0"], "greater than 0, not 0"),
         (["predator_prey", "--set", "env.agents=1"], "is for 2 agents or more, not 1"),
         (["navigation", "--set", "env.id=gone:parallel_env"], "there is no module gone"),
+        (["navigation", "--set", "env.id=gone"], "your own is module:function"),
         (["navigation", "--set", "env.agents=3"], "env.agents is not for navigation"),
         (["."], "cannot read the description .: Is a directory"),
         (["missing.toml"], "cannot read the description missing.toml"),
@@ -186,6 +188,21 @@ def test_a_quick_look_is_at_the_same_strategy(changes: list[str]) -> None:
 def test_set_wins_over_quick() -> None:
     description = descriptions.load("3agent_hopper", ["offline.updates=7"], None, quick=True)
     assert description.offline.updates == 7
+
+
+@pytest.mark.parametrize("size", [90, 1000, 1_000_000])
+def test_a_quick_look_takes_an_imported_set_as_large_as_it_is(
+    size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And deploys as few steps as ever."""
+    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path))
+    (DatasetName("hopper-3x1", "mine").folder / str(size)).mkdir(parents=True)
+    found = resolve(descriptions.load("3agent_hopper", ["dataset.name=mine"], None, quick=True))
+    assert found.dataset.transitions == size
+    assert found.deployment.transitions == pytest.approx(min(400, size), abs=4)
+    given = ["dataset.name=mine", f"dataset.transitions={size}", "deployment.fraction=0.1"]
+    found = resolve(descriptions.load("3agent_hopper", given, None, quick=True))
+    assert found.deployment.transitions == pytest.approx(0.1 * size, abs=4)
 
 
 @pytest.mark.slow
