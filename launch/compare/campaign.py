@@ -16,7 +16,7 @@ from otc_dist.terminal.printable import aligned, say
 from ..plan import descriptions
 from ..supervise import job_order
 from ..supervise.jobs import Job, cores
-from . import campaign_file, cluster, comparison, rates
+from . import campaign_file, cluster, comparison, held_folder, rates
 from .campaign_file import Campaign
 from .campaign_results import PAGE, Results
 from .comparison import Comparison
@@ -84,7 +84,11 @@ def main(argv: list[str]) -> int:
         ]
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
+    if arguments.dry_run or arguments.status:
+        for one in comparisons:
+            held_folder.check(one.folder, one.base)
     if arguments.dry_run:
+        durable.room_for(root)
         say(*_forecast(comparisons, seeds))
         return 0
     if arguments.status:

@@ -16,7 +16,7 @@ from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import say
 
 from ..plan import descriptions
-from . import cluster, comparison
+from . import cluster, comparison, held_folder
 from .comparison import EPISODES, Comparison
 
 SEEDS = "0..9"
@@ -52,6 +52,7 @@ def main(argv: list[str]) -> int:
     queue = cluster.options(arguments)
     one = Comparison(folder, base, arms, seeds, quick, arguments.results)
     if arguments.status:
+        held_folder.check(folder, base)
         cluster.show(comparison.jobs_of([one]))
         return 0
     return comparison.carry_out(folder.root, [one], queue)

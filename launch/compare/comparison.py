@@ -162,9 +162,9 @@ def _do(
     """The same, with their folders held."""
     for one, folder in zip(comparisons, folders, strict=True):
         folder.given |= {*job_graph.take_offline(one.folder, one.base, one.arms, one.seeds)}
+    jobs = jobs_of(comparisons)
     if taken := sum(len(folder.given) for folder in folders):
         say(f"{taken} offline policies are those that an earlier comparison trained")
-    jobs = jobs_of(comparisons)
     left = sum(not job.done for job in jobs)
     say(f"{root}: {len(jobs)} jobs, {left} of them to do")
     if queue is not None:
@@ -192,6 +192,8 @@ def _do(
                 if seeds < min(complete) < len(one.seeds):  # the last is shown in the end
                     whole()
 
+    for folder in folders:
+        folder.given |= job_graph.outputs(jobs, folder.root)
     patience = max(one.base.bus.answer_deadline for one in comparisons)
     status = job_graph.do(jobs, [one.folder for one in comparisons], patience, finished)
     if status == MISTAKE:

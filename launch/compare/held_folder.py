@@ -15,36 +15,42 @@ from ..plan import run_record
 from ..plan.new_folder import NewFolder
 
 
+def check(folder: ComparisonFolder, base: Description) -> None:
+    """See that it is, or may become, the folder of a comparison of `base`; nothing is made.
+
+    Raises:
+        UserError: it is of another description or other data, or something else's.
+    """
+    _check_kind(folder)
+    _check_same(folder, base)
+    _inputs(folder, base)
+
+
 @contextmanager
 def opened(folder: ComparisonFolder, base: Description) -> Iterator[NewFolder]:
     """The folder, held against other launchers, with `base` as its description.
 
-    If it is new, and what is done in it is refused before any job is done, it is taken away again.
-    One that was begun before may have its jobs in a queue.
+    What is refused before any job of it is done leaves nothing: of a new one, all is taken away
+    again; in one that was begun before, which may have its jobs in a queue, what has come into it.
 
     Raises:
         UserError: it is held, cannot be written, or is of another description or other data.
     """
     new = NewFolder(folder.root)
-    if RunFolder(folder.root).run_json.exists():
-        raise UserError(
-            f"{folder.root} is the folder of a run, not of a comparison; use another --out"
-        )
-    if next(folder.root.glob("seed_*"), None):  # as `--results` keeps them
-        raise UserError(f"{folder.root} holds kept raw scores; use another --out")
-    found = {path.name for path in folder.root.iterdir()} - {run_record.LOCK}
-    if found and folder.description.name not in found:  # not even a lock in it
-        raise UserError(f"{folder.root} holds something else; use another --out")
+    _check_kind(folder)
+    _check_same(folder, base)  # not even a lock in another's
     with run_record.locked(RunFolder(folder.root)):
-        if begun := folder.description.exists():
-            _same(Description.load(folder.description), base, folder)
-        else:
+        begun = folder.description.exists()
+        _check_same(folder, base)  # another launcher may have begun it meanwhile
+        if not begun:
             durable.write(folder.description, base.to_toml().encode())
         try:
             note_inputs(folder, base)
             yield new
         except UserError:
-            if not begun:
+            if begun:
+                new.take_back()
+            else:
                 new.take_away()
             raise
 
@@ -55,22 +61,44 @@ def note_inputs(folder: ComparisonFolder, base: Description) -> None:
     Raises:
         UserError: it is not, or cannot be noted.
     """
+    noted, now = _inputs(folder, base)
+    if now != noted:
+        write_json(folder.inputs, now)
+
+
+def _inputs(folder: ComparisonFolder, base: Description) -> tuple[dict[str, str], dict[str, str]]:
+    """What is noted, and what is to be. Raises UserError if they contradict each other."""
     noted = records.read_json(dict[str, str], folder.inputs) if folder.inputs.exists() else {}
     found, agents = inputs.sources(base) | inputs.code(base), registry.team_spec(base.env.id).names
     name, transitions = base.dataset.name, base.dataset.transitions
     if all(store.agent_file(name, agent, transitions).exists() for agent in agents):
         found |= inputs.data(base, agents)
     inputs.check(noted, found, base)
-    if (now := {**found, **noted}) != noted:
-        write_json(folder.inputs, now)
+    return noted, {**found, **noted}
 
 
-def _same(found: Description, wanted: Description, folder: ComparisonFolder) -> None:
-    """Raises UserError, naming the first difference.
+def _check_kind(folder: ComparisonFolder) -> None:
+    """Raises UserError: what is there is no comparison's folder."""
+    if RunFolder(folder.root).run_json.exists():
+        raise UserError(
+            f"{folder.root} is the folder of a run, not of a comparison; use another --out"
+        )
+    if next(folder.root.glob("seed_*"), None):  # as `--results` keeps them
+        raise UserError(f"{folder.root} holds kept raw scores; use another --out")
+    there = folder.root.iterdir() if folder.root.exists() else ()
+    found = {path.name for path in there} - {run_record.LOCK}
+    if found and folder.description.name not in found:
+        raise UserError(f"{folder.root} holds something else; use another --out")
+
+
+def _check_same(folder: ComparisonFolder, wanted: Description) -> None:
+    """Raises UserError, naming the first difference, if it was begun with another description.
 
     The summary comes last: any `--set` empties it, and what was set says more.
     """
-    before, now = _flat(found), _flat(wanted)
+    if not folder.description.exists():
+        return
+    before, now = _flat(Description.load(folder.description)), _flat(wanted)
     for key, value in sorted(now.items(), key=lambda item: item[0] == "summary"):
         if before[key] != value:
             raise UserError(

@@ -50,6 +50,12 @@ def do(
     return 0
 
 
+def outputs(jobs: Sequence[Job], root: Path) -> set[Path]:
+    """What they will print to in a folder, as far as it is not there yet."""
+    new = (job.output for job in jobs if not job.done and not job.output.exists())
+    return {output for output in new if output.is_relative_to(root)}
+
+
 def _data(folder: ComparisonFolder, base: Description) -> Job:
     """The data set."""
     dataset = base.dataset

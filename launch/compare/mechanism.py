@@ -59,6 +59,7 @@ def main(argv: list[str]) -> int:
     jobs = job_graph.mechanism(folder, base, seeds, name, arguments.set)
     queue = cluster.options(arguments)
     if arguments.status:
+        held_folder.check(folder, base)
         cluster.show(jobs)
         return 0
     # A comparison may be at work in the folder: it is ours only if something must be trained.
@@ -67,6 +68,8 @@ def main(argv: list[str]) -> int:
     with nullcontext() if trained else held_folder.opened(folder, base) as new:
         if queue is not None and not all(job.done for job in jobs):
             return cluster.submit(jobs, queue)
+        if new:
+            new.given |= job_graph.outputs(jobs, folder.root)
         patience = base.bus.answer_deadline
         if status := job_graph.do(jobs, [folder], patience, lambda job: None):
             if new and status == MISTAKE:

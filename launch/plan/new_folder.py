@@ -28,8 +28,11 @@ _BEGUN_TO_COMPARE = {"inputs.json", "inputs.json.partial", "output"}
 class NewFolder:
     """The folder of a run or a comparison that begins: what is refused leaves nothing of it behind.
 
+    It may be one that was begun before, to which something is added: what is refused then leaves
+    nothing new.
+
     Attributes:
-        given: files in it that look like work, and took none: copies from elsewhere.
+        given: files that come into it and took no work: copies from elsewhere, what a process said.
     """
 
     def __init__(self, root: Path) -> None:
@@ -42,19 +45,34 @@ class NewFolder:
             root.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UserError(f"cannot make {root}: {error.strerror}") from None
+        self._before = self._work()
+
+    def _work(self) -> set[Path]:
+        return {path for pattern in _PRODUCTS for path in self.root.glob(pattern)}
+
+    def take_back(self) -> bool:
+        """Remove what was given, unless anything in the folder has taken work since.
+
+        Returns:
+            whether nothing has.
+        """
+        if self._work() - self._before - self.given:
+            return False
+        for path in self.given:
+            _remove(path, self.root)
+        return True
 
     def take_away(self) -> bool:
         """Empty and remove it, and what was made above it.
 
         So what was refused does not block its name. It stays if anything in it took work, or was
-        there before: except for what a launcher leaves that was killed as it began. The caller
-        holds the folder's lock.
+        there before: except for what a launcher leaves that was killed as it began. What
+        `take_back` takes goes in any case. The caller holds the folder's lock.
 
         Returns:
             whether it is gone.
         """
-        made = {path for pattern in _PRODUCTS for path in self.root.glob(pattern)} - self.given
-        if made or not self._ours:
+        if not self.take_back() or not self._ours:
             return False
         for path in self.root.iterdir() if self.root.exists() else ():
             if path.is_dir() and not path.is_symlink():
@@ -65,6 +83,16 @@ class NewFolder:
             for path in (self.root, *self._above):
                 path.rmdir()
         return True
+
+
+def _remove(path: Path, root: Path) -> None:
+    """A file, and the folders below `root` that it leaves empty."""
+    path.unlink(missing_ok=True)
+    with suppress(OSError):  # not empty, or never made
+        for folder in path.parents:
+            if folder == root:
+                break
+            folder.rmdir()
 
 
 def check_folder(out: Path, needed: int) -> RunFolder:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,7 +16,9 @@ from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.envs import registry
+from otc_dist.launch.__main__ import main
 from otc_dist.launch.compare import job_graph
+from otc_dist.terminal.errors import UserError
 
 from .conftest import VERSIONS, silent
 
@@ -55,6 +58,47 @@ def test_a_comparison_with_policies_of_another_has_the_same_raw_scores(
     assert other.offline(0).read_bytes() == finished.offline(0).read_bytes()
     found = [json.loads(folder.run(0, REFERENCE).read_text()) for folder in (finished, other)]
     assert found[0] | {"seconds": 0} == found[1] | {"seconds": 0}
+
+
+def _another_s_run(folder: ComparisonFolder) -> str:
+    """Before any job: there is a run of that name, of another description."""
+    shutil.rmtree(folder.seed(1).root)
+    shutil.copy(folder.run(0, "uniform"), folder.run(0, "mine"))
+    return "mine.json is of another description; delete it, or use another --out"
+
+
+def _another_s_evaluation(folder: ComparisonFolder) -> str:
+    """By the first job."""
+    shutil.rmtree(folder.seed(1).root)
+    folder.seed(1).root.mkdir()
+    shutil.copy(folder.offline(0), folder.offline(1))
+    return "pi_0.json is of other policies; delete it"
+
+
+@pytest.mark.parametrize("mistake", [_another_s_run, _another_s_evaluation])
+def test_what_is_added_to_a_comparison_and_refused_leaves_nothing_new_in_it(
+    mistake: Callable[[ComparisonFolder], str],
+    finished: ComparisonFolder,
+    tiny_flags: tuple[str, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = ComparisonFolder(tmp_path / "begun")
+    shutil.copytree(finished.root, folder.root)
+    for made in (folder.results, folder.report):
+        made.unlink(missing_ok=True)
+    expected = mistake(folder)
+    before = {*folder.root.rglob("*")}
+    added = ("--arm", "mine=sampling.name=otc", "--arms", "uniform", "--seeds", "0,1")
+    command = ["compare", "3agent_hopper", "--out", str(folder.root), *added]
+    try:
+        assert main([*command, "--quick", *tiny_flags]) == 2
+        said = capsys.readouterr().err
+    except UserError as error:
+        said = str(error)
+    assert expected in said
+    left = {path for path in folder.root.rglob("*") if path.name not in (".lock", "inputs.json")}
+    assert left == before
 
 
 @pytest.mark.parametrize(
