@@ -1,6 +1,7 @@
 """`launch campaign NAME`: the comparisons that a file lists, together and seed by seed."""
 
 import argparse
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -47,6 +48,8 @@ def main(argv: list[str]) -> int:
     arguments = parser.parse_args(argv)
     if parser.alone(arguments, "tables", "--tables shows what is in its folder", "page"):
         shown = Results.read(arguments.tables)
+        if names := ", ".join(path.name for path in shown.left_out):
+            say(f"of no campaign, and left out: {names}", file=sys.stderr)
         say(*shown.text())
         if arguments.page is not None:
             durable.put(arguments.page, shown.page().encode())

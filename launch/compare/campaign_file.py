@@ -111,6 +111,14 @@ def _key(assignment: str) -> str:
     return assignment.partition("=")[0].strip()
 
 
+def is_campaign(path: Path) -> bool:
+    """Whether a file is meant as a campaign's, with mistakes in it or not: it has parts."""
+    try:
+        return "parts" in toml_file.read(path)
+    except UserError:
+        return False
+
+
 def shipped() -> dict[str, Path]:
     """Every campaign that comes with the package: name -> TOML file."""
     folder = Path(__file__).parents[1] / "campaigns"

@@ -10,9 +10,10 @@ from otc_dist.comparison.campaign.published import Published
 from otc_dist.comparison.campaign.verdicts import Verdict
 
 from ..plan import descriptions
+from . import campaign_file
 from .campaign_file import Campaign
 from .command import lines
-from .comparison import EPISODES
+from .comparison import is_look
 
 PAGE = "campaign.html"
 
@@ -25,6 +26,7 @@ class Results:
 
     Attributes:
         folders: of all comparisons; `found` are those with scores.
+        left_out: what looks like a campaign's, and is none: other TOML files, and runs.
     """
 
     root: Path
@@ -32,6 +34,7 @@ class Results:
     found: Sequence[Found]
     published: Published | None
     judged: Sequence[Verdict]
+    left_out: Sequence[Path]
 
     @classmethod
     def read(cls, root: Path, others: Iterable[Path] = ()) -> "Results":
@@ -40,13 +43,16 @@ class Results:
         Raises:
             UserError: it is no campaign's folder, or a file in it is wrong.
         """
-        folders = found.folders(root)
-        campaigns = together([*others, *root.glob("*.toml")]).values()
+        folders, files = found.folders(root), {*root.glob("*.toml")}
+        listing = {path for path in files if campaign_file.is_campaign(path)}
+        described = {path.parent for path in root.glob("*/description.toml")}
+        left_out = sorted((files - listing) | (described - {*folders}))
+        campaigns = together([*others, *listing]).values()
         several = found.read(folders)
         published = Published.together([one.published for one in campaigns if one.published])
         figures = [figure for one in campaigns for figure in one.figures]
         judged = [verdicts.judge(figure, several, published) for figure in figures]
-        return cls(root, folders, several, published, judged)
+        return cls(root, folders, several, published, judged, left_out)
 
     def text(self) -> Iterator[str]:
         """The tables of every comparison; then those of all together, and what is reproduced."""
@@ -68,7 +74,7 @@ class Results:
 
     def page(self) -> str:
         """The HTML document."""
-        quick = any(one.scores.episodes < EPISODES for one in self.found)
+        quick = any(is_look(one.scores.episodes) for one in self.found)
         label = descriptions.QUICK_LABEL if quick else ""
         title = f"Campaign: {self.root.name}"
         return page.page(title, self.found, self.judged, self.published, label)

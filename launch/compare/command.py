@@ -17,7 +17,7 @@ from otc_dist.terminal.printable import say
 
 from ..plan import descriptions
 from . import cluster, comparison, held_folder
-from .comparison import EPISODES, Comparison
+from .comparison import Comparison, is_look
 
 SEEDS = "0..9"
 
@@ -72,7 +72,7 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def lines(found: Collected) -> Iterator[str]:
     """What raw scores are of, and all their tables."""
-    label = f" ({descriptions.QUICK_LABEL})" if found.episodes < EPISODES else ""
+    label = f" ({descriptions.QUICK_LABEL})" if is_look(found.episodes) else ""
     yield f"{found.name}, {found.dataset}{label}; on {tables.processors(found.runs)}"
     yield from tables.text(summarise(found.runs, found.normalise))
 

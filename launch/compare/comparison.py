@@ -83,6 +83,20 @@ class Comparison:
             say("", heading, *tables.text(summary), f"report: {self.folder.report}", "")
 
 
+def is_look(episodes: int) -> bool:
+    """Whether a comparison of so few greedy episodes is a quick look: `--quick` alone allows it."""
+    return episodes < EPISODES
+
+
+def check_size(base: Description, quick: bool) -> None:
+    """Raises UserError: so few greedy episodes are for a quick look only."""
+    if is_look(base.evaluation.episodes) and not quick:
+        raise UserError(
+            f"a comparison needs evaluation.episodes >= {EPISODES}, not"
+            f" {base.evaluation.episodes}: returns are too noisy (--quick allows fewer, as a look)"
+        )
+
+
 def prepare(
     loaded: Description, names: str | None, own: Iterable[str], quick: bool
 ) -> tuple[Description, Arms]:
@@ -97,11 +111,7 @@ def prepare(
     """
     arms = arms_of.parse_arms(",".join(arms_of.USUAL) if names is None else names, own)
     base = resolve(loaded)
-    if base.evaluation.episodes < EPISODES and not quick:
-        raise UserError(
-            f"a comparison needs evaluation.episodes >= {EPISODES}, not"
-            f" {base.evaluation.episodes}: returns are too noisy (--quick allows fewer, as a look)"
-        )
+    check_size(base, quick)
     if not base.deployment.count:
         raise UserError("a comparison needs deployment.count >= 1: otherwise nothing is tuned")
     arms_of.check(base, arms)

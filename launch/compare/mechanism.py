@@ -15,6 +15,7 @@ from ..plan import descriptions
 from ..run.resolve import resolve
 from ..supervise.processes import MISTAKE
 from . import cluster, held_folder, job_graph
+from .comparison import check_size, is_look
 
 _EXPLANATION = """\
 Deploys the offline policies once and asks, of the transitions that each distance selects at
@@ -50,8 +51,14 @@ def main(argv: list[str]) -> int:
                 f"--set would change pi_0, and {folder.root} has its own: leave it out, or use"
                 " another --checkpoints"
             )
+        if quick and arguments.checkpoints and not is_look(base.evaluation.episodes):
+            raise UserError(
+                f"--quick would change pi_0, and {folder.root} has that of a whole comparison:"
+                " leave it out, or use another --checkpoints"
+            )
     else:
         base = resolve(descriptions.load(arguments.description, arguments.set, None, quick))
+        check_size(base, quick)
         analysed = base
     if len(registry.team_spec(base.env.id).agents) < 2:
         raise UserError(f"the mechanism check is about other agents, and {base.env.id} has none")
@@ -75,7 +82,7 @@ def main(argv: list[str]) -> int:
             if new and status == MISTAKE:
                 new.take_away()
             return status
-    if quick:
+    if quick or is_look(base.evaluation.episodes):
         print(descriptions.QUICK_LABEL)
     found = table.read([folder.mechanism(name, seed) for seed in seeds])
     print("\n".join(found.lines()))

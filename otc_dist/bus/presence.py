@@ -10,6 +10,8 @@ from otc_dist.bus.keys import Keys
 from otc_dist.bus.lockstep import GaveUpError
 from otc_dist.bus.session import Session
 
+_LOOK = 0.5  # seconds between two words of how long it has waited
+
 log = logging.getLogger(__name__)
 
 
@@ -37,20 +39,27 @@ class Presence:
         """When (time.monotonic) it last came or went; -inf before that."""
         return self._when.get(agent, -math.inf)
 
-    def wait_for_all(self, patience: float) -> None:
+    def wait_for_all(
+        self, patience: float, waited: Callable[[float], None] = lambda seconds: None
+    ) -> None:
         """Return when every learner has come.
+
+        Args:
+            waited: told now and then for how many seconds it has.
 
         Raises:
             GaveUpError: somebody has not come for `patience` seconds.
         """
-        end, logged = time.monotonic() + patience, ""
+        start, logged = time.monotonic(), ""
         with self._changed:
             while missing := ", ".join(a for a in self._agents if a not in self._present):
                 if missing != logged:
                     logged = missing
                     log.info("waiting for %s", missing)
-                if not self._changed.wait(end - time.monotonic()):
+                waited(min(seconds := time.monotonic() - start, patience))
+                if seconds >= patience:
                     raise GaveUpError(f"waited {patience:g} s for {missing} to come")
+                self._changed.wait(min(_LOOK, patience - seconds))
 
     def wait_for_none(self, timeout: float) -> None:
         """Return when every learner has left, or after `timeout` seconds."""

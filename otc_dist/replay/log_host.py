@@ -17,7 +17,7 @@ from otc_dist.bus.lockstep import HostLockstep
 from otc_dist.bus.messages import Action, Moment, Observation, Phase, Status, StepOutcome
 from otc_dist.bus.presence import Presence
 from otc_dist.bus.session import Session
-from otc_dist.bus.status import Heartbeat
+from otc_dist.bus.status import Heartbeat, StatusBoard
 from otc_dist.bus.wire import Rejections
 from otc_dist.deployment_log.header import LogHeader
 from otc_dist.description import Description
@@ -123,18 +123,23 @@ class LogPublisher:
 
 
 class AnswerChecker:
-    """Asks the agents' learners what the log was asked, and holds them to its answers."""
+    """Asks the agents' learners what the log was asked, and holds them to its answers.
 
-    def __init__(self, host: LogHost) -> None:
+    Args:
+        heard: called on Zenoh's thread with each status of a learner; it must be quick.
+    """
+
+    def __init__(self, host: LogHost, heard: Callable[[Status], None]) -> None:
         self._host = host
+        StatusBoard(host.session, host.keys, tuple(host.names), host.rejections, heard)
         self._lockstep = HostLockstep(
             host.session, host.keys, host.agents, host.copies, host.deadline, host.rejections
         )
         self._presence = Presence(host.session, host.keys, host.names)
 
-    def wait_for_learners(self) -> None:
-        """Return when all have come. Raises GaveUpError."""
-        self._presence.wait_for_all(self._host.deadline)
+    def wait_for_learners(self, waited: Callable[[float], None]) -> None:
+        """Return when all have come; see `Presence.wait_for_all`. Raises GaveUpError."""
+        self._presence.wait_for_all(self._host.deadline, waited)
 
     def ask(
         self, deployment: int, total: int, steps: Iterable[JointStep], policies: Mapping[str, str]

@@ -28,11 +28,13 @@ from otc_dist.deployment_log.reader import (
 )
 from otc_dist.deployment_log.several import in_order
 from otc_dist.description import Description, user_code
+from otc_dist.replay.busy_learners import BusyLearners
 from otc_dist.replay.log_host import AnswerChecker, LogHost, LogPublisher, OtherActionError
 from otc_dist.replay.output import note_shortfall
 from otc_dist.replay.selection import Selection, select
 from otc_dist.run.folder import RunFolder
 from otc_dist.run.host_state import HostState
+from otc_dist.terminal.amounts import duration
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.printable import say
 from otc_dist.terminal.progress import shown
@@ -77,16 +79,16 @@ def run(arguments: argparse.Namespace) -> int:
             if arguments.learners:
                 _ask(arguments, host, parts)
             else:
-                _publish(arguments, host, parts)
+                _publish(arguments, host, parts, root)
         except (GaveUpError, OtherActionError) as error:
             say(f"error: {error}", file=sys.stderr)
             return 1
     return 0
 
 
-def _publish(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -> None:
+def _publish(arguments: argparse.Namespace, host: LogHost, parts: list[_Part], root: Path) -> None:
     publisher = LogPublisher(host)
-    _wait_for_somebody(host)
+    _wait_for_somebody(host, root)
     with host:
         for summary, selection in parts:
             steps = _steps(summary, selection, arguments.rate or 1.0)
@@ -94,14 +96,15 @@ def _publish(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -
 
 
 def _ask(arguments: argparse.Namespace, host: LogHost, parts: list[_Part]) -> None:
-    print(
-        f"waiting for the learners of {', '.join(host.names)}; each is started by"
-        f" python -m otc_dist.services.learner --run {arguments.run} --agent NAME",
+    say(
+        f"waiting up to {duration(host.deadline)} for the learners of {', '.join(host.names)}; each"
+        f" is started by python -m otc_dist.services.learner --run {arguments.run} --agent NAME",
         file=sys.stderr,
     )
-    checker = AnswerChecker(host)
+    checker = AnswerChecker(host, BusyLearners())
     with host:
-        checker.wait_for_learners()
+        with shown("waiting for the learners", "s") as report:
+            checker.wait_for_learners(lambda waited: report(int(waited), int(host.deadline)))
         for summary, selection in parts:
             steps = _steps(summary, selection, arguments.rate)
             checker.ask(summary.header.deployment, summary.end, steps, summary.policies)
@@ -187,9 +190,9 @@ def _prepare_learners(
             raise UserError(f"{path} does not say which policy acted for {min(missing)}")
     folder, header = RunFolder(arguments.run), parts[0][0].header
     try:
-        folder.root.mkdir(parents=True, exist_ok=True)
         if not folder.description.exists():
             user_code.require(*description.code)  # which those learners would run
+            folder.root.mkdir(parents=True, exist_ok=True)
             folder.description.write_text(description.to_toml(), encoding="utf-8")
             folder.run_json.write_text(json.dumps({"run": header.run}) + "\n", encoding="utf-8")
     except OSError as error:
@@ -210,11 +213,19 @@ def _centre(root: Path, maximum_payload: int) -> Iterator[Session]:
         remove_local_endpoint(endpoint)
 
 
-def _wait_for_somebody(host: LogHost) -> None:
+def _wait_for_somebody(host: LogHost, root: Path) -> None:
     """Wait until somebody subscribes: what is published before is lost."""
-    print(f"waiting for somebody to listen to {host.keys.status(HOST)} or others", file=sys.stderr)
-    end = time.monotonic() + host.deadline
-    while not host.session.heard:
-        if time.monotonic() > end:
-            raise UserError(f"nobody listened for {host.deadline:g} s")
-        time.sleep(_LOOK)
+    gone = "" if root.is_dir() else ", a folder that is not there"
+    say(
+        f"waiting up to {duration(host.deadline)} for somebody to listen on the bus of"
+        f" {root}{gone}: to {host.keys.status(HOST)} or others",
+        file=sys.stderr,
+    )
+    start = time.monotonic()
+    with shown("waiting for somebody to listen", "s") as report:
+        while not host.session.heard:
+            waited = min(time.monotonic() - start, host.deadline)
+            report(int(waited), int(host.deadline))
+            if waited == host.deadline:
+                raise UserError(f"nobody listened on the bus of {root} for {host.deadline:g} s")
+            time.sleep(_LOOK)

@@ -1,10 +1,12 @@
-"""A folder that is none of this comparison: every command says so, also one that only looks."""
+"""A folder of something else than a comparison or a campaign: a mere look at it says so as well."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.launch.__main__ import main
 from otc_dist.launch.plan import descriptions
 from otc_dist.launch.run.resolve import resolve
@@ -71,3 +73,27 @@ def test_a_mechanism_s_status_is_of_a_comparison(tmp_path: Path) -> None:
     words = ["mechanism", "3agent_hopper", "--quick", "--checkpoints", str(tmp_path)]
     assert "is the folder of a run, not of a comparison" in refusal(words)
     assert refusal([*words, *LOOK]) == refusal(words)
+
+
+def test_what_lies_beside_a_campaign_s_results_is_left_out_in_a_line(
+    campaign: list[str], finished: ComparisonFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = Path(campaign[1]).parent / "kept"
+    shutil.copytree(finished.root, kept / PART)
+    shutil.copy(campaign[1], kept)
+    tables = ["campaign", "--tables", str(kept)]
+    assert main(tables) == 0
+    found = capsys.readouterr()
+    assert f"{PART}:" in found.out and found.err == ""
+    (kept / "pyproject.toml").write_text("[project]\nname = 'mine'\n")
+    (kept / "notes.toml").write_text("no TOML")
+    (kept / "folder.toml").mkdir()
+    shutil.copytree(finished.root, kept / "3agent_hopper-seed0")
+    (kept / "3agent_hopper-seed0" / "run.json").write_text("{}")
+    assert main(tables) == 0
+    others = "3agent_hopper-seed0, folder.toml, notes.toml, pyproject.toml"
+    assert capsys.readouterr() == (found.out, f"of no campaign, and left out: {others}\n")
+    (kept / "one.toml").write_text("[parts.one]\ndescriptions = ['3agent_hopper']\n")
+    assert "one.toml: seeds is missing" in refusal(tables)
+    shutil.rmtree(kept / PART)
+    assert "is not the folder of a campaign" in refusal(tables)

@@ -1,4 +1,6 @@
 import math
+import shutil
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,8 @@ from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.description.distances import DISTANCES
+from otc_dist.launch.compare import mechanism
+from otc_dist.launch.plan import descriptions
 from otc_dist.otc.samplers.balanced import BalancedSection
 from otc_dist.terminal.errors import UserError
 
@@ -162,6 +166,38 @@ def test_measuring_again_gives_the_same(finished: ComparisonFolder, base: Descri
             check.measure(finished, base, 0, name, silent)
     one, two = (table.read([finished.mechanism(name, 0)]) for name in ("one", "two"))
     assert [str(row) for row in one.rows] == [str(row) for row in two.rows]
+
+
+def test_the_label_is_true_of_the_comparison_that_is_looked_into(
+    finished: ComparisonFolder,
+    base: Description,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Whether it is a quick look was said when the comparison began."""
+    monkeypatch.setattr(check, "POOL", 300)
+    monkeypatch.setattr(check, "MINIBATCHES", 3)
+    check.measure(finished, base, 0, base.digest(), silent)
+    described = base.with_assignments("evaluation.episodes=30")
+    whole = ComparisonFolder(tmp_path / "whole")
+    shutil.copytree(finished.root, whole.root)
+    whole.description.write_text(described.to_toml())
+    of_both = (whole.mechanism(one.digest(), 0).parent for one in (base, described))
+    shutil.copytree(*of_both)
+    words = ["3agent_hopper", "--seeds", "0", "--checkpoints"]
+    tables = []
+    for folder, label in ((finished, f"{descriptions.QUICK_LABEL}\n"), (whole, "")):
+        assert mechanism.main([*words, str(folder.root)]) == 0
+        said = capsys.readouterr().out
+        assert said.startswith(label)
+        tables.append(said.removeprefix(label))
+    assert tables[0] == tables[1] and descriptions.QUICK_LABEL not in tables[0]
+    assert mechanism.main([*words, str(finished.root), "--quick"]) == 0
+    with pytest.raises(UserError, match=r"--quick would change pi_0, .* of a whole comparison"):
+        mechanism.main([*words, str(whole.root), "--quick"])
+    with pytest.raises(UserError, match=r"needs evaluation\.episodes >= 30, not 10"):
+        mechanism.main(["3agent_hopper", "--set", "evaluation.episodes=10"])
 
 
 def test_the_standard_error_by_hand() -> None:

@@ -13,7 +13,7 @@ import pytest
 from otc_dist.bus.codec import AgentCodec
 from otc_dist.bus.endpoints import Endpoint, local_endpoint
 from otc_dist.bus.keys import HOST
-from otc_dist.bus.messages import Moment, decode_status
+from otc_dist.bus.messages import Moment, Status, decode_status
 from otc_dist.bus.session import Session
 from otc_dist.deployment_log.reader import (
     read_header,
@@ -21,7 +21,10 @@ from otc_dist.deployment_log.reader import (
     read_summary,
     read_transitions,
 )
+from otc_dist.description import Description
 from otc_dist.replay import publish
+from otc_dist.replay.__main__ import main
+from otc_dist.replay.busy_learners import BusyLearners
 from otc_dist.replay.selection import Selection
 from otc_dist.terminal.errors import UserError
 
@@ -133,6 +136,63 @@ def test_a_gap_of_the_log_s_clock_is_told_and_not_waited_for(
 
 
 Refused = Callable[..., str]
+
+
+@pytest.mark.parametrize(("there", "gone"), [(True, ""), (False, ", a folder that is not there")])
+def test_it_says_for_what_it_waits_and_how_long(
+    log: Path,
+    tmp_path: Path,
+    refused: Refused,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    there: bool,
+    gone: str,
+) -> None:
+    run, now = tmp_path / "run", [0.0]
+    if there:
+        run.mkdir()
+    monkeypatch.setattr(publish.time, "sleep", lambda seconds: now.append(now.pop() + seconds))
+    monkeypatch.setattr(publish.time, "monotonic", lambda: now[0])
+    message = refused(log, "--publish", "--run", run)
+    assert message == f"nobody listened on the bus of {run} for 120 s"
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first.startswith("waiting up to 2 min 00 s for somebody to listen on the bus of")
+    assert f" {run}{gone}: to otc/" in first
+    assert lines[:2] == [f"waiting for somebody to listen: {n} of 120 s" for n in (10, 20)]
+    assert lines[-1] == "waiting for somebody to listen: 120 of 120 s"
+
+
+def test_it_says_how_long_it_waits_for_learners_too(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = Description.parse(read_header(log).description, source="")
+    hasty = found.with_assignments("bus.answer_deadline=1")
+    about = {"description": hasty.to_toml(), "description_digest": hasty.digest()}
+    other = retold(log, tmp_path / "log.mcap", **about)
+    command = [str(other), "--publish", "--learners", "--run", str(tmp_path / "run")]
+    assert main(command) == 1
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first.startswith("waiting up to 1 s for the learners of agent_0; each is started by")
+    assert lines[0] == "waiting for the learners: 1 of 1 s"
+    assert lines[-1] == "error: waited 1 s for agent_0 to come"
+
+
+def test_what_a_learner_is_busy_with_is_said_when_it_begins_and_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now, said = [0.0], BusyLearners()
+    monkeypatch.setattr(publish.time, "monotonic", lambda: now[0])
+    for now[0], phase, update in (
+        *((0.0, "starting", 0), (1.0, "offline", 0), (2.0, "offline", 9), (11.5, "offline", 99)),
+        *((12.0, "ready", 0), (30.0, "ready", 0), (31.0, "tuning", 5)),
+    ):
+        said(Status("agent_1", phase, 0, update, 1000 if update else 0))
+    assert capsys.readouterr().err.splitlines() == [
+        "agent_1: starting",
+        "agent_1: offline",
+        "agent_1: offline, 99 of 1,000 updates",
+        "agent_1: tuning, 5 of 1,000 updates",
+    ]
 
 
 def test_mistakes_are_one_line(log: Path, tmp_path: Path, refused: Refused) -> None:

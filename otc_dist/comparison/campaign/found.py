@@ -8,6 +8,7 @@ from otc_dist.comparison import collected
 from otc_dist.comparison.arms import REFERENCE
 from otc_dist.comparison.collected import Collected
 from otc_dist.comparison.scores import Run
+from otc_dist.run.folder import RunFolder
 from otc_dist.terminal.errors import UserError
 
 
@@ -53,12 +54,13 @@ class Found:
 
 
 def folders(root: Path) -> list[Path]:
-    """Of all comparisons, with scores or yet without.
+    """Of all comparisons, with scores or yet without; runs have descriptions as well.
 
     Raises:
         UserError: there is none.
     """
-    found = sorted(path.parent for path in root.glob("*/description.toml"))
+    described = (path.parent for path in root.glob("*/description.toml"))
+    found = sorted(path for path in described if not RunFolder(path).run_json.exists())
     if not found:
         raise UserError(f"{root} is not the folder of a campaign: none in it is a comparison's")
     return found
