@@ -24,8 +24,9 @@ ORACLE = "oracle"  # an analysis: the transitions in which the others acted most
 _OF_STRATEGIES = {
     arm: meaning for name in STRATEGIES for arm, meaning in STRATEGIES.section(name).arms.items()
 }
+_UNIFORM = _OF_STRATEGIES[REFERENCE].assignments
 _NULL = Arm(
-    ("sampling.name=uniform", "minibatch_key=1"),
+    (*_UNIFORM, "minibatch_key=1"),
     "uniform with other minibatches: what chance alone does",
 )
 KNOWN: Arms = {name: arm.assignments for name, arm in _OF_STRATEGIES.items()} | {
@@ -33,10 +34,10 @@ KNOWN: Arms = {name: arm.assignments for name, arm in _OF_STRATEGIES.items()} | 
 }
 MEANINGS = {name: arm.meaning for name, arm in _OF_STRATEGIES.items()} | {NULL: _NULL.meaning}
 # What no learner can do: `analyses` makes these arms, and a single run cannot take them.
-ANALYSES: Arms = {PERFECT: ("sampling.name=uniform",), ORACLE: share_of("random")}
+ANALYSES: Arms = {PERFECT: _UNIFORM, ORACLE: share_of("random")}
 MOST_SEEDS = 1000  # of one range; more is a slip of the finger
 # The arms of a comparison that names none.
-USUAL = ("dynamics-share", "typical-share", "random-share", REFERENCE)
+USUAL = ("dynamics-share", "typical-share", "random-share", "rlpd", REFERENCE)
 
 
 def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:

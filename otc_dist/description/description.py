@@ -40,6 +40,7 @@ SUMMARISED = (
     ("sampling", "name"),
     ("sampling", "distance"),
     ("sampling", "acceptance"),
+    ("sampling", "online_share"),
 )
 
 
@@ -135,8 +136,16 @@ class Description(Section):
     def build(
         cls, data: dict[str, object], assignments: Iterable[str] = (), source: str = "description"
     ) -> Self:
-        """Validate `data` after `section.key=value` assignments; errors as in `load`."""
-        merged: dict[str, object] = dict(data)
+        """Validate `data` after `section.key=value` assignments; errors as in `load`.
+
+        With another algorithm or strategy than that of `data`, what only the old one has is left
+        out.
+        """
+        merged, assignments = dict(data), tuple(assignments)
+        for section, kind in (("algorithm", ALGORITHMS), ("sampling", STRATEGIES)):
+            name, settings = _asked(section, assignments).get("name"), data.get(section, {})
+            if name is not None and isinstance(settings, dict):
+                merged[section] = kind.kept(settings, name)
         for assignment in assignments:
             assign(merged, assignment)
         if merged.get("summary") == data.get("summary") and _summarised(merged) != _summarised(
@@ -162,23 +171,16 @@ class Description(Section):
         """A copy with `section.key=value` assignments applied; errors as in `load`.
 
         With another `algorithm.name` the section keeps what is not the old algorithm's default and
-        the new one has too; with another `sampling.name` what strategies of this package know; with
-        another environment the data set is the same level of it. A setting that the strategy has
-        not asks for the one that has it.
+        the new one has too; with another environment the data set is the same level of it. A
+        setting that the strategy has not asks for the one that has it.
         """
         data = self.model_dump(mode="json")
         data["dataset"]["name"] = self.dataset.name.removeprefix(f"{self.env.id}/")
         changed = self.algorithm.model_dump(mode="json", exclude_defaults=True)
         data["algorithm"] = {"name": self.algorithm.name, **changed}
-        algorithm = _asked("algorithm", assignments).get("name", self.algorithm.name)
-        if algorithm != self.algorithm.name:
-            data["algorithm"] = ALGORITHMS.kept(data["algorithm"], algorithm)
         asked = _asked("sampling", assignments)
         if "name" not in asked and not set(asked) <= set(type(self.sampling).model_fields):
-            asked["name"] = STRATEGIES.with_settings(asked)
-            assignments = (*assignments, f"sampling.name={asked['name']}")
-        if asked.get("name", self.sampling.name) != self.sampling.name:
-            data["sampling"] = STRATEGIES.kept(data["sampling"], asked["name"])
+            assignments = (*assignments, f"sampling.name={STRATEGIES.with_settings(asked)}")
         return self.build(data, assignments)
 
     @property

@@ -59,7 +59,8 @@ class Kind(Generic[S]):
         if is_code(name) and not user_code.allowed(name):
             return self._unread
         section: type[S] = self.find(name).Section
-        return section if name in self._places else _named(section, name)
+        own = section.model_fields.get("name")
+        return section if own is not None and own.default == name else _named(section, name)
 
     def chosen(self, data: object) -> S:
         """The section that a description holds, from its settings.
@@ -83,14 +84,23 @@ class Kind(Generic[S]):
         return list(self.section(str(self._name(data))).model_fields)
 
     def kept(self, settings: dict[str, object], name: str) -> dict[str, object]:
-        """Those of the settings that the section of another name may have too.
+        """The settings of a section that is to be another's: without what only the old one had.
 
-        All, of a name that is not known or is not loaded: what is wrong shows where they are read.
+        All, if the new one is not known or not loaded: what is wrong shows where they are read.
         """
-        if name not in self._places and not user_code.allowed(name):
+        old = str(self._name(settings))
+        if old == name or not self._loaded(name):
             return settings
-        keys = self.keys({"name": name})
-        return {key: value for key, value in settings.items() if key in keys}
+        of_old = self.keys(settings) if self._loaded(old) else settings
+        lost = set(of_old) - self._having(name)
+        return {key: value for key, value in settings.items() if key not in lost}
+
+    def _loaded(self, name: str) -> bool:
+        return name in self._places or user_code.allowed(name)
+
+    def _having(self, name: str) -> set[str]:
+        """The settings that may stay where that one is chosen in place of another."""
+        return set(self.keys({"name": name}))
 
     def _name(self, data: object) -> object:
         first = next(iter(self))
@@ -125,6 +135,11 @@ class Strategies(Kind[SamplingSection]):
     def keys(self, data: object) -> list[str]:
         """Those of all strategies may stand beside its own."""
         return [*super().keys(data), *self.settings()]
+
+    def _having(self, name: str) -> set[str]:
+        """All, but online data beside what is chosen: those are for who does not choose them."""
+        chooses = "online_share" not in self.section(name).model_fields
+        return super()._having(name) - ({"online_share"} if chooses else set())
 
     def _made(self, section: type[SamplingSection], data: dict[str, object]) -> SamplingSection:
         own, beside = dict(data), {}

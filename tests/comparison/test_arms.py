@@ -29,6 +29,19 @@ def test_the_reference_and_the_null_arm_are_always_among_the_arms() -> None:
     assert list(parse_arms("uniform,online-only")) == [REFERENCE, "online-only", NULL]
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_arms_are_the_same_whatever_online_data_a_description_adds(
+    base: Description, share: float
+) -> None:
+    """An arm's name says what its batches are; `rlpd` alone adds online data."""
+    description = base.with_assignments(
+        *("sampling.name=uniform", f"sampling.online_share={share}", "deployment.transitions=400")
+    )
+    for arm, assignments in (KNOWN | ANALYSES).items():
+        sampling = describe(description, assignments, 0).sampling.model_dump()
+        assert sampling["online_share"] == (0.5 if arm == "rlpd" else 0.0), arm
+
+
 def test_no_usual_arm_needs_a_q(base: Description) -> None:
     without = base.with_assignments("algorithm.name=bremen", "sampling.candidates=512")
     arms_of.check(without, parse_arms(",".join(USUAL)))

@@ -84,6 +84,23 @@ def test_another_algorithm_keeps_no_setting_that_it_has_not() -> None:
         models.with_assignments("algorithm.name=awac", "algorithm.improvements=2")
 
 
+def test_a_file_is_taken_with_another_algorithm_and_strategy_than_its_own() -> None:
+    """What only the old ones have is left out; what nobody has is told, whoever wrote it."""
+    file = tomllib.loads(
+        f'{MINIMAL}\n[algorithm]\nname = "bremen"\nimprovements = 1\ndiscount = 0.9\n'
+        "[sampling]\nonline_share = 0.5\n"
+    )
+    other = ("algorithm.name=awac", "sampling.name=balanced")
+    taken = Description.build(file, other)
+    assert taken.algorithm.discount == 0.9 and "improvements" not in taken.to_toml()
+    assert taken.sampling.model_dump()["online_share"] == 0
+    with pytest.raises(UserError, match="online_share is for 'otc' and 'uniform'"):
+        Description.build(file, (*other, "sampling.online_share=0.5"))
+    file["algorithm"]["discout"] = 0.8
+    with pytest.raises(UserError, match=r"did you mean 'algorithm\.discount'"):
+        Description.build(file, other)
+
+
 def test_a_file_of_the_package_works_where_a_user_copies_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

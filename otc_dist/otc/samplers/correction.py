@@ -66,8 +66,10 @@ AcceptanceName = Annotated[str, _one_of(ACCEPTANCES)]
 
 
 def of(distance: str, *assignments: str) -> tuple[str, ...]:
-    """The assignments of an arm by that distance."""
-    return (*assignments, f"sampling.distance={distance}")
+    """The assignments of an arm by that distance, and without online data beside what it accepts,
+    whatever a description has.
+    """
+    return (*assignments, f"sampling.distance={distance}", "sampling.online_share=0")
 
 
 def share_of(distance: str) -> tuple[str, ...]:

@@ -22,15 +22,18 @@ if TYPE_CHECKING:
     from otc_dist.otc.distances.interface import Setting
 
 
+_ALL_ALIKE = ("sampling.name=uniform", "sampling.online_share=0")
+
+
 class UniformSection(SamplingSection):
     """Uniform sampling of B_k."""
 
     arms: ClassVar[Mapping[str, Arm]] = {
         "typical-offline": Arm(
-            ("offline.rows=typical", "sampling.name=uniform"),
+            ("offline.rows=typical", *_ALL_ALIKE),
             "uniform, from a pi_0 of its own, trained on the typical tenth of B_0",
         ),
-        "uniform": Arm(("sampling.name=uniform",), "all of B_k alike: the reference"),
+        "uniform": Arm(_ALL_ALIKE, "all of B_k alike: the reference"),
         "rlpd": Arm(
             ("sampling.name=uniform", "sampling.online_share=0.5"),
             "half of every batch online data, the rest from B_k (RLPD)",
@@ -41,6 +44,11 @@ class UniformSection(SamplingSection):
     online_share: float = Field(
         default=0.0, ge=0, lt=1, description="of every batch that is D_1 .. D_k's (RLPD: 0.5)"
     )
+
+    @property
+    def title(self) -> str:
+        online = f", {self.online_share:.0%} of every batch online data"
+        return super().title + (online if self.online_share else "")
 
 
 @dataclass(frozen=True)
