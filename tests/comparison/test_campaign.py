@@ -9,6 +9,7 @@ import pytest
 
 from otc_dist.comparison import arms as arms_of
 from otc_dist.comparison import spent
+from otc_dist.comparison.arms import describe
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.comparison.spent import Spent
 from otc_dist.launch.__main__ import main
@@ -209,16 +210,24 @@ def test_the_paper_s_first_table() -> None:
     assert campaign.seeds == "20..24" and len(found) == 3 * 3 * 3
     paper = {"paper-embedding", "paper-value"}
     figures = {"paper-embedding-fixed", "balanced", "online-only"}  # 4 and 5
-    arms = {"bcq": paper | figures, "awac": paper, "default": set[str]()}
+    arms = {"bcq": paper | figures, "awac": paper, "default": set(), "default-hopper": {"rlpd"}}
     for robot in ("2agent_halfcheetah", "2agent_walker2d", "3agent_hopper"):
-        default = descriptions.load(robot, (), None, quick=False).algorithm.name
+        algorithm_of = {
+            **{"bcq": "bcq", "awac": "awac"},
+            "default-hopper" if robot == "3agent_hopper" else "default": descriptions.load(
+                robot, (), None, quick=False
+            ).algorithm.name,
+        }
         for level in ("random", "medium", "medium-replay"):
-            for key, algorithm in {"bcq": "bcq", "awac": "awac", "default": default}.items():
+            for key, algorithm in algorithm_of.items():
                 one = found[f"{robot}-{level}-{key}"]
                 assert one.base.dataset.name == f"{one.base.env.id}/{level}"
                 assert one.base.algorithm.name == algorithm
                 assert one.base.offline.updates == 500  # as in any quick look
                 assert set(one.arms) == {*arms[key], "uniform", "uniform-null"}
+                if key.startswith("default"):  # an arm is the description as it stands
+                    described = [describe(one.base, arm, 0) for arm in one.arms.values()]
+                    assert one.base.with_assignments("seed=0") in described
 
 
 def test_the_paper_s_figures_are_of_its_tasks_algorithms_and_numbers_of_agents() -> None:
