@@ -12,7 +12,7 @@ import importlib
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from typing import Any
 from otc_dist.names import is_code
 from otc_dist.terminal.errors import UserError
 
-_OURS = Path(__file__).parents[1]
+_OURS = __name__.partition(".")[0]
 _INSTALLED = tuple({Path(path) for path in sysconfig.get_paths().values()})
 _allowed: set[str] = set()
 _brought: dict[str, frozenset[str]] = {}
@@ -102,18 +102,34 @@ def described(error: BaseException) -> str:
     said = " ".join(str(error).split())
     text = f"{type(error).__name__}: {said}" if said else type(error).__name__
     # What is below the user's last line are packages that it called.
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if not frame.filename.startswith("<") and not Path(frame.filename).is_relative_to(_OURS)
+    places = [
+        (frame.f_code.co_filename, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if not frame.f_code.co_filename.startswith("<") and not _is_ours(frame.f_globals)
     ]
     own = [
-        frame
-        for frame in frames
-        if not any(Path(frame.filename).is_relative_to(folder) for folder in _INSTALLED)
+        (file, line)
+        for file, line in places
+        if not any(Path(file).is_relative_to(folder) for folder in _INSTALLED)
     ]
-    place = (own or frames)[-1:]
-    return f"{text} ({place[0].filename}:{place[0].lineno})" if place else text
+    place = (own or places)[-1:]
+    return f"{text} ({place[0][0]}:{place[0][1]})" if place else text
+
+
+def _is_ours(names: Mapping[str, Any]) -> bool:
+    """Whether a module's names are those of one of this package, also of one that is run."""
+    spec = names.get("__spec__")
+    return spec is not None and spec.name.partition(".")[0] == _OURS
+
+
+def check_offers(part: object, protocol: type, reference: str) -> None:
+    """Raises UserError, before anything is trained, if a part lacks what is asked of its kind."""
+    asked = (name for name in vars(protocol) if not name.startswith("_"))
+    if lacking := [name for name in asked if not hasattr(part, name)]:
+        raise UserError(
+            f"{reference} has no {', '.join(lacking)}: {protocol.__module__}.{protocol.__name__}"
+            " says what is asked of it"
+        )
 
 
 @contextmanager

@@ -62,6 +62,8 @@ class Actor:
             states = torch.tensor(observations, device=device)
             noise = to_tensors(self.noise(phase, deployment, step, len(observations)), device)
             actions: Float32 = self.algorithm.act(state, states, noise).cpu().numpy()
+        if actions.shape != (shape := (len(observations), self.spec.action_size)):
+            raise ValueError(f"act has to give actions of shape {shape}, not {actions.shape}")
         if exploring:
             settings = self.description.deployment
             random = self._stream("explore", deployment, step)

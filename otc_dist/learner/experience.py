@@ -43,6 +43,7 @@ class Experience:
     ) -> None:
         self._layout, self._scale, self._features = layout, scale, features
         self._rows = np.empty((len(offline) + to_come, layout.width), dtype=np.float32)
+        self._rows[len(offline) :] = np.nan  # whoever learns from a row that is not there yet fails
         self._size = self._newest_start = 0  # where B_k ends, and D_k begins
         self._offline_size = len(offline)
         rows = torch.from_numpy(self._rows).to(device)

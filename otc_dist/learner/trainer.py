@@ -103,6 +103,11 @@ class Trainer:
         """
 
         def on_updates(state: State, done: int, metrics: list[float]) -> None:
+            if np.shape(metrics) != (count := len(self.metric_names),):
+                raise ValueError(
+                    f"an update has to give {count} metrics ({', '.join(self.metric_names)}), not"
+                    f" the shape {np.shape(metrics)}"
+                )
             named = dict(zip(self.metric_names, metrics, strict=True))
             check_finite(work.phase, done, named.items())
             on_block(state, done, named)
@@ -221,7 +226,8 @@ def check_finite(phase: Phase, done: int, metrics: Iterable[tuple[str, float]]) 
         if not math.isfinite(value):
             raise UserError(
                 f"{phase.purpose} training diverged before update {done:,}: {name} is"
-                f" {value}; lower the learning rates (algorithm.*) or look at the data"
+                f" {value}; lower the learning rates (algorithm.*), or look at the data and the"
+                " rows drawn of them"
             )
 
 

@@ -22,11 +22,11 @@ from ..brains import ONLINE, SMALL, SPEC, silent, transitions, unsaved
 from .arrays import random_batch, random_choices
 
 SECTIONS: dict[str, Any] = {name: ALGORITHMS.section(name) for name in ALGORITHMS}
-# Where the defaults would take time.
+# Where the defaults would take time, beside what a section's `brief` says.
 SMALLER: dict[str, dict[str, object]] = {
     "bcq": {"acting_candidates": 7},
     "cql": {"action_samples": 3},
-    "bremen": {"models": 2, "improvements": 1, "horizon": 3},
+    "bremen": {"models": 2, "horizon": 3},
 }
 CHOICES = 4
 CHOOSING = AgentSpec("agent_0", 5 + CHOICES, (0.0,), (CHOICES - 1.0,), choices=CHOICES)
@@ -58,7 +58,7 @@ def describe(name: str, *assignments: str, env: str = "hopper-3x1") -> Descripti
         "offline": {"updates": OFFLINE_UPDATES},
         "deployment": {"count": 2, "transitions": ONLINE, "updates": TUNING_UPDATES},
     }
-    return Description.build(data, assignments)
+    return Description.build(data, (*SECTIONS[name].brief, *assignments))
 
 
 def spec_for(name: str) -> AgentSpec:

@@ -1,12 +1,14 @@
 """An algorithm and a sampling strategy of the user's own, each one class in a file of theirs."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from otc_dist.datasets.inputs import Digests
@@ -88,6 +90,26 @@ def test_a_distance_and_a_rule_of_acceptance_may_be_theirs_as_well(stranger: Non
     assert told[0].metrics["accepted"] == 0.5
     with pytest.raises(UserError, match="toys:Nothing cannot be loaded"):
         describe("sampling.distance=toys:Nothing").trusted()
+
+
+def test_the_example_of_the_docs_draws_the_newest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a reader would copy it."""
+    page = (Path(__file__).parents[2] / "docs/method.md").read_text()
+    (example,) = (
+        block for block in re.findall(r"(?ms)^```python\n(.*?)^```$", page) if "Newest" in block
+    )
+    (tmp_path / "newest_of_the_docs.py").write_text(example)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(user_code, "_allowed", set())
+    described = describe("sampling.name=newest_of_the_docs:Newest", "sampling.span=7").trusted()
+    learner = Learner(described, SPEC, transitions(0, 200))
+    learner.pretrain(silent, unsaved)
+    learner.tune(1, online(1), silent)
+    extent = learner._experience.extent
+    drawn = learner._sampler.sample_indices(np.random.default_rng(0), 100, extent)["batch"]
+    assert set(drawn.ravel()) == set(range(extent.size - 7, extent.size))
 
 
 def test_a_new_strategy_of_the_package_leaves_all_other_descriptions_as_they_are(

@@ -44,7 +44,7 @@ VARIANTS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(descriptions.shipped()))
 def test_every_description_runs(name: str, launch: Callable[..., Launcher], tmp_path: Path) -> None:
-    flags = [word for value in (*SMALL, *VARIANTS[name]) for word in ("--set", value)]
+    flags = [word for value in (*SMALL, *VARIANTS.get(name, ())) for word in ("--set", value)]
     launcher = launch(name, *flags, "--out", "run")
     assert launcher.finish() == 0, launcher.text
     folder = RunFolder(tmp_path / "run")

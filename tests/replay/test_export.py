@@ -13,6 +13,7 @@ import pytest
 from otc_dist.datasets import store
 from otc_dist.deployment_log.open_log import OpenLog
 from otc_dist.deployment_log.record import Rows
+from otc_dist.replay.export.formats import FORMATS
 from otc_dist.replay.export.trajectories import trajectories
 from otc_dist.replay.selection import Selection
 from tests.deployment_log.conftest import Recording
@@ -22,7 +23,6 @@ from .exported import READERS, column, minari_episodes, read_parquet
 from .played import play
 from .recorded import Arrays, Deployments
 
-FORMATS = tuple(READERS)
 AGENTS = ("agent_0", "agent_1", "agent_2")
 
 
@@ -34,7 +34,7 @@ def same_bits(found: Arrays, expected: Arrays) -> None:
     assert set(expected) - {"truncated", "exploring", "log", "copy", "step"} <= set(found)
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("form", list(FORMATS))
 def test_each_agent_gets_its_own_transitions_to_the_bit(
     hopper: Deployments, replay: Replay, tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -51,7 +51,7 @@ def test_each_agent_gets_its_own_transitions_to_the_bit(
     assert list(tmp_path.iterdir()) == [out]
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("form", list(FORMATS))
 def test_discrete_actions_are_kept_as_their_indices(
     replay: Replay, tmp_path: Path, form: str
 ) -> None:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from otc_dist.otc.alpha import Alpha
 from otc_dist.otc.data import Data
-from otc_dist.otc.distances.interface import Distance, Matching
+from otc_dist.otc.distances.interface import Distance, Matching, scored
 from otc_dist.otc.prioritization import prioritize
 from otc_dist.otc.samplers.correction import CorrectionSection
 from otc_dist.otc.samplers.interface import (
@@ -152,7 +152,7 @@ class RankScored(_Rank):
     distance: Distance
 
     def begin(self, held: MergedData) -> Preparation:
-        found = self.distance.scores(held, exclude_self=self.settings.exclude_self)
+        found = scored(self.distance, held, exclude_self=self.settings.exclude_self)
         similarity = float(found.values.double().mean())
         return self.begun(held, similarity, found.guarded, scores=found.values)
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from otc_dist.otc.data import Data
-from otc_dist.otc.distances.interface import Distance
+from otc_dist.otc.distances.interface import Distance, scored
 from otc_dist.otc.samplers.correction import CorrectionSection
 from otc_dist.otc.samplers.interface import (
     Extent,
@@ -51,7 +51,7 @@ class Weighted(Sampler):
         """
         extent = held.extent
         exclude = self.exclude_self or self.settings.exclude_self
-        found = self.distance.scores(held, exclude_self=exclude)
+        found = scored(self.distance, held, exclude_self=exclude)
         weights = self.weigh(self.settings, found.values, extent).double()
         weights[extent.newest :] = 1.0
         sums = weights.cumsum(0)

@@ -9,8 +9,14 @@ from otc_dist.steps.engine import Engine
 
 
 def create_distance(name: str, setting: Setting) -> Distance:
-    """The distance of that name for one agent."""
+    """The distance of that name for one agent.
+
+    Raises:
+        UserError: it is code of the user's own that is not allowed, cannot be loaded, or lacks what
+            a distance has.
+    """
     distance: Distance = _kind(name).create(setting)
+    user_code.check_offers(distance, Distance, name)
     return distance
 
 

@@ -54,6 +54,15 @@ class Distance(Protocol):
         ...
 
 
+def scored(distance: Distance, held: MergedData, *, exclude_self: bool) -> Scores:
+    """What `distance.scores` gives. Raises ValueError if it is not one score for each row."""
+    found = distance.scores(held, exclude_self=exclude_self)
+    if found.values.shape != (held.extent.size,):
+        shape = tuple(found.values.shape)
+        raise ValueError(f"scores has to give {held.extent.size} numbers, not the shape {shape}")
+    return found
+
+
 @runtime_checkable
 class Matching(Protocol):
     """A distance that can be computed within one update, from minibatches B and D."""

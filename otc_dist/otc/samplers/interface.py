@@ -9,6 +9,7 @@ computed once, before its updates (`begin`).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -73,7 +74,7 @@ Indices = dict[str, NDArray[np.generic]]
 Gathered = dict[str, "Tensor"]
 
 
-class Sampler:
+class Sampler(ABC):
     """A sampling strategy. What one learns lies in the learner's state, under keys `sampler_*`.
 
     `sample_indices` and `select` are its own. The other methods are, where it does not define them,
@@ -113,9 +114,12 @@ class Sampler:
         """The random arrays that one `select` needs beside its indices."""
         return {}
 
+    @abstractmethod
     def sample_indices(self, random: np.random.Generator, updates: int, extent: Extent) -> Indices:
-        """Row numbers, or what they are chosen by, for `updates` updates: each (updates, n)."""
-        raise NotImplementedError
+        """Row numbers, or what they are chosen by, for `updates` updates: each (updates, n).
+
+        Rows from `extent.size` on hold nothing yet.
+        """
 
     def begin(self, held: MergedData) -> Preparation:
         """Prepare for the updates after a deployment, whose data have just been merged."""
@@ -125,9 +129,9 @@ class Sampler:
         """What `select` looks at of the rows that one update drew, and of what `begin` prepared."""
         return {}
 
+    @abstractmethod
     def select(self, state: State, gathered: Gathered, sampled: Noise) -> Selection:
         """The rows of one update, from its share of what was sampled: row numbers and noise."""
-        raise NotImplementedError
 
     def weights(self, state: State, size: int) -> Tensor:
         """How likely each of the rows 0 .. size - 1 is drawn, by what was learned so far (size,).
