@@ -31,7 +31,8 @@ def _found(env_id: str) -> Family | None:
 def _family(env_id: str) -> Family:
     family = _found(env_id)
     if family is None:
-        raise UserError(f"{unknown('environment', env_id, env_ids())}; your own is module:function")
+        said = str(unknown("environment", env_id, env_ids()))
+        raise UserError(said if said.endswith("?") else f"{said}, or module:function of your own")
     return family
 
 

@@ -27,7 +27,7 @@ from .short import SHORT
         (["3agent_hopper", "--set", "sampling=1"], "sampling is a section: write sampling.KEY"),
         (["3agent_hopper", "--set", "algorithm.hidden=64"], "must be a list in brackets, not 64"),
         (["3agent_hopper", "--set", "sampling.alpha=-1"], "command line: sampling.alpha"),
-        (["3agent_hopper", "--set", "env.id=hopper-3x2"], "hopper-3x1"),
+        (["3agent_hopper", "--set", "env.id=hopper-3x2"], "did you mean 'hopper-3x1'?"),
         (["3agent_hopper", "--set", "dataset.name=hopper-3x1/medum"], "hopper-3x1/medium"),
         (
             ["2agent_walker2d", "--set", "dataset.name=hopper-3x1/medium-replay"],
@@ -39,7 +39,7 @@ from .short import SHORT
         (["predator_prey", "--set", "env.agents=0"], "greater than 0, not 0"),
         (["predator_prey", "--set", "env.agents=1"], "is for 2 agents or more, not 1"),
         (["navigation", "--set", "env.id=gone:parallel_env"], "there is no module gone"),
-        (["navigation", "--set", "env.id=gone"], "your own is module:function"),
+        (["navigation", "--set", "env.id=gone"], ", or module:function of your own"),
         (["navigation", "--set", "env.agents=3"], "env.agents is not for navigation"),
         (["."], "cannot read the description .: Is a directory"),
         (["missing.toml"], "cannot read the description missing.toml"),
