@@ -204,13 +204,15 @@ def _table(tallies: Mapping[str, Tally]) -> list[str]:
 
 def _wanted(given: list[str]) -> dict[str, int]:
     """From `kill-host=100` to how often; nothing given: the whole table."""
-    wanted = {}
+    wanted = dict[str, int]()
     for text in given:
         name, _, count = text.partition("=")
         if name not in FAULTS:
             raise unknown("fault", name, FAULTS)
         if not count.isdecimal() or not int(count):
             raise UserError(f"how often? write it as {name}=20")
+        if name in wanted:
+            raise UserError(f"{name} is given twice: how often?")
         wanted[name] = int(count)
     return wanted or WHOLE
 

@@ -11,7 +11,7 @@ from otc_dist.comparison.spent import Spent
 from otc_dist.system import durable
 from otc_dist.terminal.amounts import duration
 from otc_dist.terminal.errors import UserError
-from otc_dist.terminal.parser import Parser
+from otc_dist.terminal.parser import Parser, check_ending
 from otc_dist.terminal.printable import aligned, say
 
 from ..plan import descriptions
@@ -47,12 +47,14 @@ def main(argv: list[str]) -> int:
     parser = command_line()
     arguments = parser.parse_args(argv)
     if parser.alone(arguments, "tables", "--tables shows what is in its folder", "page"):
+        if arguments.page is not None:
+            check_ending("--page", arguments.page, ".html")
         shown = Results.read(arguments.tables)
+        if arguments.page is not None:
+            durable.put(arguments.page, shown.page().encode())
         if names := ", ".join(path.name for path in shown.left_out):
             say(f"of no campaign, and left out: {names}", file=sys.stderr)
         say(*shown.text())
-        if arguments.page is not None:
-            durable.put(arguments.page, shown.page().encode())
         return 0
     if arguments.page is not None:
         raise UserError("--page is made of what --tables shows: give both")
@@ -69,6 +71,8 @@ def main(argv: list[str]) -> int:
     quick: bool = arguments.quick
     name = f"campaign-{path.stem}{'-quick' if quick else ''}"
     root = (arguments.out or Path("runs") / name).resolve()
+    if ComparisonFolder(root).description.exists():
+        raise UserError(f"{root} is the folder of a comparison or a run; use another --out")
     results: Path | None = arguments.results
     asked = None if arguments.seeds is None else arms_of.parse_seeds(arguments.seeds)
     try:

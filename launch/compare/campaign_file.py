@@ -16,7 +16,7 @@ from otc_dist.names import Name
 from otc_dist.terminal.errors import UserError
 
 from ..plan import descriptions
-from .comparison import prepare
+from .comparison import check_settings, prepare
 
 FORM = """\
   seeds = "20..24"
@@ -92,8 +92,9 @@ def _of(key: str, part: Part, quick: bool) -> Iterator[Prepared]:
 
     With `quick` its sizes are those of every part: a file says how large a real one is.
     """
-    sizes = {_key(text) for text in descriptions.QUICK} if quick else set()
-    changes = [text for text in part.set if _key(text) not in sizes]
+    check_settings(part.set)
+    sizes = {descriptions.key_of(text) for text in descriptions.QUICK} if quick else set()
+    changes = [text for text in part.set if descriptions.key_of(text) not in sizes]
     for description, agents, dataset in product(
         part.descriptions, part.agents or (None,), part.datasets or (None,)
     ):
@@ -105,10 +106,6 @@ def _of(key: str, part: Part, quick: bool) -> Iterator[Prepared]:
         base, arms = prepare(loaded, ",".join(part.arms) or None, part.arm, quick)
         level = base.dataset.name.rpartition("/")[2]
         yield Prepared(f"{base.name}-{level}-{key}", base, arms)
-
-
-def _key(assignment: str) -> str:
-    return assignment.partition("=")[0].strip()
 
 
 def is_campaign(path: Path) -> bool:

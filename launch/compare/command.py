@@ -12,7 +12,7 @@ from otc_dist.comparison.score_statistics import summarise
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.system import durable
 from otc_dist.terminal.errors import UserError
-from otc_dist.terminal.parser import Parser
+from otc_dist.terminal.parser import Parser, check_ending
 from otc_dist.terminal.printable import say
 
 from ..plan import descriptions
@@ -43,13 +43,14 @@ def main(argv: list[str]) -> int:
         raise UserError("--picture draws what --tables shows: give both")
     if arguments.description is None:
         raise UserError("compare which description? Or --tables FOLDER, of one that was compared")
+    queue = cluster.options(arguments)
+    comparison.check_settings(arguments.set)
     seeds = arms_of.parse_seeds(SEEDS if arguments.seeds is None else arguments.seeds)
     quick: bool = arguments.quick
     loaded = descriptions.load(arguments.description, arguments.set, None, quick)
     base, arms = comparison.prepare(loaded, arguments.arms, arguments.arm, quick)
     name = f"compare-{base.name}{'-quick' if quick else ''}"
     folder = ComparisonFolder((arguments.out or Path("runs") / name).resolve())
-    queue = cluster.options(arguments)
     one = Comparison(folder, base, arms, seeds, quick, arguments.results)
     if arguments.status:
         held_folder.check(folder, base)
@@ -60,13 +61,15 @@ def main(argv: list[str]) -> int:
 
 def _show(arguments: argparse.Namespace) -> int:
     """Print the tables of a folder of raw scores."""
+    if arguments.picture is not None:
+        check_ending("--picture", arguments.picture, ".svg")
     found = collected.collect(arguments.tables)
-    say(*lines(found))
     if arguments.picture is not None:
         seeds = max(len(of_arm) for of_arm in found.runs.values())
         over = "1 seed" if seeds == 1 else f"mean ± standard error of {seeds} seeds"
         title = f"{found.dataset}: the recommended policy, {over}"
         durable.put(arguments.picture, picture(found.runs, title).encode())
+    say(*lines(found))
     return 0
 
 

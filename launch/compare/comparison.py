@@ -88,6 +88,12 @@ def is_look(episodes: int) -> bool:
     return episodes < EPISODES
 
 
+def check_settings(assignments: Iterable[str]) -> None:
+    """Raises UserError: one would do nothing."""
+    if any(descriptions.key_of(text) == "seed" for text in assignments):
+        raise UserError("a comparison's seeds are those of --seeds: leave out --set seed")
+
+
 def check_size(base: Description, quick: bool) -> None:
     """Raises UserError: so few greedy episodes are for a quick look only."""
     if is_look(base.evaluation.episodes) and not quick:

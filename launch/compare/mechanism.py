@@ -15,7 +15,7 @@ from ..plan import descriptions
 from ..run.resolve import resolve
 from ..supervise.processes import MISTAKE
 from . import cluster, held_folder, job_graph
-from .comparison import check_size, is_look
+from .comparison import check_settings, check_size, is_look
 
 _EXPLANATION = """\
 Deploys the offline policies once and asks, of the transitions that each distance selects at
@@ -33,6 +33,8 @@ def main(argv: list[str]) -> int:
     """
     arguments = command_line().parse_args(argv)
     user_code.allow(*arguments.allow)
+    queue = cluster.options(arguments)
+    check_settings(arguments.set)
     seeds = arms_of.parse_seeds(arguments.seeds)
     quick: bool = arguments.quick
     started = descriptions.load(arguments.description, (), None, quick)
@@ -64,7 +66,6 @@ def main(argv: list[str]) -> int:
         raise UserError(f"the mechanism check is about other agents, and {base.env.id} has none")
     name = analysed.digest()
     jobs = job_graph.mechanism(folder, base, seeds, name, arguments.set)
-    queue = cluster.options(arguments)
     if arguments.status:
         held_folder.check(folder, base)
         cluster.show(jobs)

@@ -60,6 +60,9 @@ class Beside:
             UserError: a package is missing, or nobody can listen at the port.
         """
         beside = cls(arguments.track or "", arguments.prometheus or "", arguments.view or "")
+        ports = [Port.parse(text) for text in (beside.view, beside.prometheus) if text]
+        if len(ports) == 2 and ports[0].meets(ports[1]):
+            raise UserError(f"--view and --prometheus both want port {ports[0].number}: give two")
         if beside.tracker:
             check_installed(beside.tracker)
         if beside.prometheus:

@@ -69,6 +69,11 @@ def add_flags(parser: Parser, *, required: bool = False) -> None:
     parser.add_argument("--quick", action="store_true", help=QUICK_HELP)
 
 
+def key_of(assignment: str) -> str:
+    """Which value `section.key=value` changes."""
+    return assignment.partition("=")[0].strip()
+
+
 def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -> Description:
     """The description `name` with `--quick`, then `--set`, then `--seed` applied, in that order.
 

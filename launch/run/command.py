@@ -80,6 +80,8 @@ def _check(parser: Parser, arguments: argparse.Namespace) -> None:
         raise UserError("--allow is for --from: the code that a description names is run anyway")
     if "ssh" in given:
         raise UserError("--ssh needs --hosts FILE: on which hosts?")
+    if "seed" in given and "seed" in map(descriptions.key_of, arguments.set):
+        raise UserError("--seed and --set seed are two seeds: leave out one")
     for name in ("print", "image"):
         if name in given:
             raise UserError(f"--{name} needs --on kubernetes")
@@ -107,15 +109,14 @@ def _start(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out or Path("runs") / name
     run = out.name if placement.role == "all" else run_record.shared_name(description)
     planned = plan.make(description, RunFolder(out.resolve()), run, placement, asked)
+    preflight.check(planned, out)
     if arguments.dry_run:
         if quick:
             print(descriptions.QUICK_LABEL)
         say(*planned.lines())
-        preflight.check(planned, out)
         return 0
     if placement.insecure:
         print(hosts.INSECURE, file=sys.stderr)
-    preflight.check(planned, out)
     if preflight.goes_on(planned):
         with run_record.locked(planned.folder):
             record = run_record.rejoin(planned.folder, description, placement)

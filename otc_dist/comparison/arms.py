@@ -50,7 +50,11 @@ def parse_arms(text: str, own: Iterable[str] = ()) -> Arms:
     Raises:
         UserError: an unknown name (the nearest is suggested), or none at all.
     """
-    mine = dict(_parse_own(item) for item in own)
+    mine: Arms = {}
+    for name, assignments in map(_parse_own, own):
+        if name in mine:
+            raise UserError(f"--arm {name} is given twice: choose another name")
+        mine[name] = assignments
     known = KNOWN | ANALYSES | mine
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
@@ -86,7 +90,13 @@ def _parse_own(text: str) -> tuple[str, tuple[str, ...]]:
         )
     if name in KNOWN or name in ANALYSES:
         raise UserError(f"--arm {text!r}: {name} is an arm already; choose another name")
-    trust(assigned := tuple(assignments.split(",")))
+    assigned = tuple(assignments.split(","))
+    keys = [key.strip() for key, equals, _ in (one.partition("=") for one in assigned) if equals]
+    if twice := [key for key in keys if keys.count(key) > 1]:
+        raise UserError(f"--arm {text!r}: {twice[0]} is given twice")
+    if "seed" in keys:
+        raise UserError(f"--arm {text!r}: all arms have the seeds of --seeds; leave it out")
+    trust(assigned)
     return name, assigned
 
 

@@ -98,6 +98,8 @@ def check(folder: ComparisonFolder, root: Path) -> None:
     Raises:
         UserError: as `keep`.
     """
+    if root.resolve() == folder.root.resolve():
+        raise UserError(f"--results {root} is the comparison's own folder: use another --results")
     durable.room_for(root)
     _check_same(root / "description.toml", folder.description.read_bytes())
 

@@ -13,7 +13,7 @@ from otc_dist.replay.export.formats import FORMATS
 from otc_dist.replay.output import ended_in_order
 from otc_dist.replay.selection import step_range
 from otc_dist.terminal.errors import UserError, run_main
-from otc_dist.terminal.parser import Parser
+from otc_dist.terminal.parser import Parser, check_ending
 
 DESCRIPTION = """\
 Deployment logs (MCAP): what is in them, whether it is true, and what to make of it. Without an
@@ -136,9 +136,8 @@ def _check(given: Mapping[str, str], action: _Action | None, arguments: argparse
             them = ", ".join(filter(None, uses))
             raise UserError(f"{flag} does nothing {when}; it is for {them}: leave it out")
     if action and action.metavar and action.metavar.startswith("OUT"):
-        ending, out = Path(action.metavar).suffix, Path(getattr(arguments, action.name))
-        if out.suffix.lower() not in ("", ending):
-            raise UserError(f"{chosen} writes {ending}, and {out} ends differently")
+        out = Path(getattr(arguments, action.name))
+        check_ending(chosen, out, Path(action.metavar).suffix)
 
 
 def command_line() -> Parser:

@@ -174,6 +174,11 @@ def _prepare_learners(
     """See that all is there that learners will ask for, and their run folder as well."""
     if arguments.run is None:
         raise UserError("--learners needs --run DIR, the folder in which fresh learners will work")
+    if parts[0][0].path.resolve().parents[1] == arguments.run.resolve():
+        raise UserError(
+            f"{arguments.run} is the run that these logs are of, whose learners have tuned: fresh"
+            " ones need another --run"
+        )
     if arguments.steps is not None or arguments.episode is not None:
         raise UserError("learners tune on whole deployments: leave out --steps and --episode")
     team = parts[0][0].header.team

@@ -27,7 +27,11 @@ def main(argv: list[str]) -> int:
     """Write the report of each run or comparison, and print where it is."""
     # By name: reports of runs know nothing of comparisons, which are made of runs.
     again = import_module("otc_dist.comparison.again")
-    for root in command_line().parse_args(argv).runs:
+    roots: list[Path] = command_line().parse_args(argv).runs
+    for folder in map(RunFolder, roots):  # a mistake in one before any is written
+        if not folder.description.exists():
+            raise folder.lacks(folder.description)
+    for root in roots:
         write = again.write_again if again.is_comparison(root) else write_report
         say(write(RunFolder(root)))
     return 0

@@ -8,6 +8,7 @@ from typing import Self
 from otc_dist.terminal.errors import UserError
 
 _LOOPBACK = "127.0.0.1"
+_EVERYWHERE = {"0.0.0.0", "::"}
 _LAST = 65535
 
 
@@ -32,6 +33,11 @@ class Port:
         if (colon and not bare) or (":" in bare and bare == host):
             raise UserError(f"{text!r} is no HOST:PORT, as 0.0.0.0:9400 or [::]:9400")
         return cls(bare or _LOOPBACK, int(number))
+
+    def meets(self, other: "Port") -> bool:
+        """Whether only one process of this machine can listen at both."""
+        hosts = {self.host, other.host}
+        return self.number == other.number and (len(hosts) == 1 or bool(hosts & _EVERYWHERE))
 
     def check_free(self) -> None:
         """Raises UserError if nobody can listen there now."""

@@ -25,6 +25,12 @@ def _path(text: str) -> Path:
     return Path(text)
 
 
+def check_ending(flag: str, out: Path, ending: str) -> None:
+    """Raises UserError: by its name a file is of another kind than what the flag writes."""
+    if out.suffix.lower() not in ("", ending):
+        raise UserError(f"{flag} writes {ending}, and {out} ends differently")
+
+
 class _Once(argparse.Action):
     """Keeps the value of an option, and refuses a second one: one of the two would be lost."""
 

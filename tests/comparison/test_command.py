@@ -29,6 +29,10 @@ from otc_dist.terminal.errors import UserError
         (("--set", "deployment.count=0"), "needs deployment.count >= 1"),
         (("--set", "ofline.updates=1"), "did you mean 'offline"),
         (("--arm", "x=evaluation.episodes=40"), "arm x: an arm may not change evaluation"),
+        (("--arm", "x=seed=4"), "all arms have the seeds of --seeds; leave it out"),
+        (("--arm", "x=sampling.alpha=1,sampling.alpha=2"), "sampling.alpha is given twice"),
+        (("--arm", "x=sampling.alpha=1", "--arm", "x=sampling.alpha=2"), "--arm x is given twice"),
+        (("--set", "seed=3"), "seeds are those of --seeds: leave out --set seed"),
         (("--sedes", "0"), "unknown flag '--sedes'; did you mean '--seeds'"),
     ],
 )
@@ -250,6 +254,8 @@ def test_tables_run_nothing_and_so_take_no_other_flag(tmp_path: Path) -> None:
         command.main(["3agent_hopper", "--tables", str(tmp_path)])
     with pytest.raises(UserError, match="--picture draws what --tables shows: give both"):
         command.main(["3agent_hopper", "--picture", str(tmp_path / "a.svg")])
+    with pytest.raises(UserError, match=r"--picture writes \.svg, and a\.png ends differently"):
+        command.main(["--tables", str(tmp_path), "--picture", "a.png"])
     with pytest.raises(UserError, match="compare which description"):
         command.main([])
 

@@ -67,6 +67,23 @@ def test_a_dry_run_finds_that_a_folder_cannot_be_made(campaign: list[str], tmp_p
     assert f"{tmp_path / 'out'} is not a folder" in refusal([*campaign, "--dry-run"])
 
 
+def test_a_campaign_is_not_done_in_a_comparison(campaign: list[str], tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "description.toml").touch()
+    for words in (campaign, [*campaign, "--dry-run"], [*campaign, *LOOK]):
+        assert "out is the folder of a comparison or a run; use another --out" in refusal(words)
+    assert len([*(tmp_path / "out").iterdir()]) == 1
+
+
+def test_results_are_not_kept_in_the_comparison_itself(campaign: list[str], tmp_path: Path) -> None:
+    out = str(tmp_path / "out")
+    compare = ["compare", "3agent_hopper", "--quick", "--out", out]
+    for words in (campaign, compare):
+        said = refusal([*words, "--results", out])
+        assert "is the comparison's own folder: use another --results" in said
+    assert not Path(out).exists()
+
+
 def test_a_mechanism_s_status_is_of_a_comparison(tmp_path: Path) -> None:
     (tmp_path / "description.toml").write_text(_description("seed=0"))
     (tmp_path / "run.json").write_text("{}")

@@ -77,6 +77,9 @@ def test_the_report_command_writes_a_comparison_s_page_again(
     report.write(folder, base, arms, *read(folder, arms, base, *SEEDS), "a quick look")
     before = {path: path.read_bytes() for path in (folder.results, folder.report)}
     folder.report.unlink()
+    with pytest.raises(UserError, match="nowhere is not a run folder"):
+        report_command([str(folder.root), str(tmp_path / "nowhere")])
+    assert not folder.report.exists()  # a mistake in one before any is written
     assert report_command([str(folder.root)]) == 0
     assert capsys.readouterr().out == f"{folder.report}\n"
     assert {path: path.read_bytes() for path in before} == before

@@ -22,6 +22,7 @@ from tests.report.conftest import MadeRun
     ("faults", "says"),
     [
         (["kill-hots=1"], "did you mean 'kill-host'?"),
+        (["freeze=1", "freeze=2"], "freeze is given twice: how often?"),
         *(([f"freeze{count}"], "write it as freeze=20") for count in ("", "=", "=0", "=-1", "=²")),
     ],
 )

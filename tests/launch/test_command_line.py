@@ -56,6 +56,8 @@ from .short import SHORT
         (["3agent_hopper", "--hosts", "h.toml", "--from", "run"], "leave out --from"),
         (["3agent_hopper", "--seed", "0", "--seed", "1"], "--seed is given twice"),
         (["3agent_hopper", "--track", "mlflow", "--track=mlflow"], "--track is given twice"),
+        (["3agent_hopper", "--seed", "0", "--set", "seed=1"], "are two seeds: leave out one"),
+        (["3agent_hopper", "--view", "--prometheus", "0.0.0.0:8700"], "both want port 8700"),
         (["3agent_hopper", "--ssh"], "--ssh needs --hosts FILE"),
         (["3agent_hopper", "--deployments", "3"], "--deployments extends a run"),
         (["3agent_hopper", "--arm", "otc-embeding"], "did you mean 'otc-embedding'?"),

@@ -101,6 +101,7 @@ def test_a_dry_run_checks_what_a_start_checks_and_neither_leaves_anything(
     dry: list[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
     (tmp_path / "work").mkdir()
@@ -109,6 +110,7 @@ def test_a_dry_run_checks_what_a_start_checks_and_neither_leaves_anything(
     with pytest.raises(UserError) as raised:
         main([*words, *dry])
     assert said in str(raised.value)
+    assert capsys.readouterr().out == ""  # no plan of what cannot be done
     assert list(Path().iterdir()) == []
 
 

@@ -1,5 +1,6 @@
 """`--publish` without learners: any listener sees what was, as it was, when it is due."""
 
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -202,6 +203,10 @@ def test_mistakes_are_one_line(log: Path, tmp_path: Path, refused: Refused) -> N
     assert needs in refused(log, "--publish", "--learners")
     learners = ("--publish", "--learners", "--run", tmp_path / "run")
     assert "whole deployments" in refused(log, *learners, "--steps", "3:")
+    own = tmp_path / "run" / "deployments" / "a.mcap"
+    own.parent.mkdir(parents=True)
+    assert "the run that these logs are of" in refused(retold(log, own), *learners)
+    shutil.rmtree(tmp_path / "run")
     second = retold(log, tmp_path / "c.mcap", deployment=2)
     assert "the log of deployment 1 is not at hand" in refused(second, *learners)
     (tmp_path / "run").mkdir(exist_ok=True)
