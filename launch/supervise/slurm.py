@@ -46,17 +46,19 @@ def options(texts: Sequence[str]) -> tuple[str, ...]:
     """`key=value` as options of sbatch: partition=gpu, time=4:00:00, mem=4G, account=lab.
 
     Raises:
-        UserError: it has another form, or sets what ties the jobs together.
+        UserError: it has another form, is given twice, or sets what ties the jobs together.
     """
-    found = []
+    found = dict[str, str]()
     for text in texts:
         if not re.fullmatch(r"[a-z][a-z-]*=[^\n\0]+", text):
             raise UserError(f"--slurm {printable(text)}: write key=value, like time=4:00:00")
         key = text.partition("=")[0]
         if any(name.startswith(key) for name in _OURS):
             raise UserError(f"--slurm {key} would part the jobs from what they need and make")
-        found.append(f"--{text}")
-    return tuple(found)
+        if key in found:
+            raise UserError(f"--slurm {key} is given twice, and takes one value")
+        found[key] = f"--{text}"
+    return tuple(found.values())
 
 
 def queue(patience: float = _ANSWER) -> dict[Path, Queued]:

@@ -271,6 +271,7 @@ def test_without_slurm_one_line_says_so(tmp_path: Path, monkeypatch: pytest.Monk
         (("--status",), "--status needs --on slurm"),
         (("--on", "slurm", "--slurm", "time"), "write key=value"),
         (("--on", "slurm", "--slurm=--wrap=x"), "write key=value"),
+        (("--on", "slurm", "--slurm", "mem=1G", "--slurm", "mem=2G"), "--slurm mem is given twice"),
         (("--on", "slurm", "--slurm", "output=x"), "output would part the jobs from what"),
         (("--on", "slurm", "--slurm", "dep=x"), "dep would part the jobs from what"),
     ],
