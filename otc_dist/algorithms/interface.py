@@ -146,6 +146,14 @@ class Improving(Protocol):
         """Names of the values that `improve` returns."""
         ...
 
+    @property
+    def policy_keys(self) -> tuple[str, ...]:
+        """The part of the state that goes back with the policy (`deployment.revert`).
+
+        The rest, like models of the data, is as good whichever policy is deployed.
+        """
+        ...
+
     def first_policy(self, state: State) -> State:
         """The state in which offline training's improvements find the policy.
 

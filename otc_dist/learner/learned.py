@@ -1,7 +1,7 @@
 """What an agent has learned, and how far it has come: all that its checkpoints keep of it."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -73,18 +73,18 @@ class Learned:
         """Whether `load` could take over a checkpoint. Raises UserError as it does."""
         checkpoint.read_own(path, self._metadata())
 
-    def revert(self, path: Path) -> None:
-        """Take up the policy of an earlier checkpoint, and all that updates it.
+    def revert(self, path: Path, keys: Collection[str]) -> None:
+        """Take up the policy of an earlier checkpoint, and what goes back with it.
 
-        Everything else stays: alpha, and what the sampler has learned.
+        Args:
+            keys: of the state, which are then the checkpoint's; everything else stays.
 
         Raises:
             UserError: as `load`.
         """
         earlier = checkpoint.read_own(path, self._metadata())[0]["algorithm"]
-        own = {name: x for name, x in self.state.items() if name.startswith("sampler_")}
-        kept = {name: x for name, x in earlier.items() if not name.startswith("sampler_")}
-        self.state = {**to_tensors(kept, self.device), **own}
+        taken = {name: x for name, x in earlier.items() if name in keys}
+        self.state = {**self.state, **to_tensors(taken, self.device)}
 
     def _metadata(self) -> checkpoint.CheckpointMetadata:
         return checkpoint.CheckpointMetadata(

@@ -30,6 +30,7 @@ from otc_dist.learner.trainer import (
     Trainer,
     Work,
     fused_update,
+    goes_back,
     improvements,
 )
 from otc_dist.otc import create_sampler
@@ -286,12 +287,13 @@ class Learner:
     def revert(self, path: Path) -> None:
         """Go on from an earlier policy: its weights, targets and optimizers, to be tuned by `tune`.
 
-        Everything else stays: all data, alpha, and what the sampler knows of them.
+        Everything else stays: all data, alpha, what the sampler knows of them, and an algorithm's
+        models of the data.
 
         Raises:
             UserError: as `load`.
         """
-        self._learned.revert(path)
+        self._learned.revert(path, goes_back(self._algorithm, self._learned.state))
 
     def _stream(self, *key: int | str) -> np.random.Generator:
         return stream(self.description.seed, self.spec.name, *key)

@@ -231,6 +231,13 @@ def check_finite(phase: Phase, done: int, metrics: Iterable[tuple[str, float]]) 
             )
 
 
+def goes_back(algorithm: Algorithm, state: State) -> set[str]:
+    """What of the state is an earlier policy's once that is gone on from; never the sampler's."""
+    if isinstance(algorithm, Improving):
+        return set(algorithm.policy_keys)
+    return {name for name in state if not name.startswith("sampler_")}
+
+
 def improvements(algorithm: Algorithm) -> int:
     """Improvement steps that `algorithm` makes after a phase's updates."""
     return algorithm.improvements if isinstance(algorithm, Improving) else 0

@@ -1,5 +1,6 @@
 """How a policy gets better by BREMEN: in its models, within the radius, and by a learner."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from .arrays import first
 from .bremens import Bounded, Endless, improved, make, start, taught
 from .checks import BATCH, plainly
 from .every import online, pretrained
+
+OF_POLICY = {"policy", "value", "value_moments", "value_updates"}
 
 
 def test_the_first_policy_is_the_clone() -> None:
@@ -38,6 +41,20 @@ def test_tuning_improves_the_deployed_policy() -> None:
     assert torch.equal(tuned["policy"], offline["policy"])
     assert not torch.equal(tuned["models"], offline["models"])
     assert not torch.equal(tuned["clone_average"], offline["clone_average"])
+
+
+def test_going_back_to_an_earlier_policy_keeps_the_newest_models(tmp_path: Path) -> None:
+    learner = pretrained("bremen", "deployment.count=3")
+    earlier = learner.policy[1]
+    learner.save(tmp_path / "pi_0")
+    learner.tune(1, online("bremen", 1), silent)
+    newest = learner.policy[1]
+    learner.revert(tmp_path / "pi_0")
+    names = set(newest)
+    assert any(not torch.equal(newest[name], earlier[name]) for name in names - OF_POLICY)
+    for name, value in learner.policy[1].items():
+        assert torch.equal(value, (earlier if name in OF_POLICY else newest)[name]), name
+    assert not torch.equal(newest["policy"], earlier["policy"])
 
 
 def test_steps_stay_within_the_radius() -> None:

@@ -106,6 +106,8 @@ class Bremen:
         "step_length",  # 1 for a full step, 0 for none
     )
 
+    policy_keys: tuple[str, ...] = ("policy", "value", "value_moments", "value_updates")
+
     @cached_property
     def ensemble(self) -> Ensemble:
         hidden, models = self.settings.hidden, self.settings.models
