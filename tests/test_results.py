@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from otc_dist.comparison import collected, tables
-from otc_dist.comparison.arms import NULL
+from otc_dist.comparison.arms import NULL, REFERENCE
 from otc_dist.comparison.intervals import Difference
 from otc_dist.comparison.judgement import over_deployments, recommended, returns
 from otc_dist.comparison.mechanism import table
@@ -149,8 +149,12 @@ def by_t(found: Difference) -> str:
     return f"{found.mean:+,.0f} [{found.t_low:+,.0f}, {found.t_high:+,.0f}]"
 
 
-# The default algorithm of a robot's description.
-DEFAULTS = {"Hopper": "bremen", "Walker2d": "td3bc", "HalfCheetah": "td3bc"}
+# The default of a robot's description, algorithm and arm, and what stands beside it in the table.
+DEFAULTS = {
+    "Hopper": ("bremen", "rlpd", REFERENCE, "uniform sampling"),
+    "Walker2d": ("td3bc", REFERENCE, NULL, "null arm"),
+    "HalfCheetah": ("td3bc", REFERENCE, NULL, "null arm"),
+}
 
 
 @cache
@@ -158,7 +162,7 @@ def default_runs() -> dict[str, dict[str, list[Run]]]:
     """The scores of every robot's default."""
     return {
         robot: collected.collect(ROOT / f"results/tuning/{algorithm}-{robot.lower()}").runs
-        for robot, algorithm in DEFAULTS.items()
+        for robot, (algorithm, *_) in DEFAULTS.items()
     }
 
 
@@ -169,8 +173,8 @@ def over_pi_0(runs: Sequence[Run], of: Callable[[Run], float | None]) -> Differe
 
 @pytest.mark.parametrize("robot", DEFAULTS)
 def test_what_the_default_brings_is_told_in_the_measured_numbers(robot: str) -> None:
-    runs = default_runs()[robot]
-    for arm, name in (("uniform", robot), ("uniform-null", f"{robot}, null arm")):
+    runs, (_, default, beside, called) = default_runs()[robot], DEFAULTS[robot]
+    for arm, name in ((default, robot), (beside, f"{robot}, {called}")):
         first = statistics.mean(returns(run)[0] for run in runs[arm])
         found = {run.seed: recommended(run) or 0.0 for run in runs[arm]}
         gain = over_pi_0(runs[arm], recommended)
@@ -180,24 +184,48 @@ def test_what_the_default_brings_is_told_in_the_measured_numbers(robot: str) -> 
             f"| {name} | {first:,.0f} | {statistics.mean(found.values()):,.0f} | {by_t(gain)} |"
             f" {gain.above} of {len(found)} | {relative:+.0%} | {by_t(over)} |"
         ) in said("README.md")
-    told = f"{gain_of(runs['uniform'])} of {robot}"
+    told = f"{gain_of(runs[default])} of {robot}"
     assert told in said("README.md") and told in said("docs/tuning.md")
-    medians = [statistics.median(map(gained, of["uniform"])) for of in default_runs().values()]
+    medians = [
+        statistics.median(map(gained, default_runs()[one][arm]))
+        for one, (_, arm, *_) in DEFAULTS.items()
+    ]
     by = f"by {medians[0]:.0%}, {medians[1]:.0%} and {medians[2]:.0%} in the median"
     assert by in said("README.md")
 
 
-def test_what_bremen_brings_is_told_in_the_measured_numbers() -> None:
-    page, runs = said("docs/tuning.md"), default_runs()["Hopper"]
-    for arm, name in (("uniform", "uniform"), (NULL, "null arm")):
-        brought = (recommended, over_deployments, lambda run: returns(run)[-1])
-        cells = " | ".join(by_t(over_pi_0(runs[arm], of)) for of in brought)
-        assert f"| {name} | {cells} |" in page
-    ours, null = (
-        {run.seed: recommended(run) or 0.0 for run in runs[arm]} for arm in ("uniform", NULL)
-    )
-    apart = abs(Difference.of({seed: ours[seed] - null[seed] for seed in ours}).mean)
-    assert f"{len(ours)} have been run" in page and f"differ by {apart:.0f} in the mean" in page
+@pytest.mark.parametrize(
+    ("arm", "beside"),
+    [("rlpd", None), (REFERENCE, None), (NULL, None), ("rlpd", REFERENCE), (NULL, REFERENCE)],
+)
+def test_what_bremen_brings_is_told_in_the_measured_numbers(arm: str, beside: str | None) -> None:
+    """The table of what an arm returns above pi_0 (`beside` None), or above another arm."""
+    runs, called = default_runs()["Hopper"], {"rlpd": "half online", NULL: "null arm"}
+    brought = (recommended, over_deployments, lambda run: returns(run)[-1])
+
+    def minus(of: Callable[[Run], float | None]) -> Difference:
+        if beside is None:
+            return over_pi_0(runs[arm], of)
+        other = {run.seed: of(run) or 0.0 for run in runs[beside]}
+        return Difference.of({run.seed: (of(run) or 0.0) - other[run.seed] for run in runs[arm]})
+
+    cells = " | ".join(by_t(minus(of)) for of in brought)
+    row = f"| {called.get(arm, arm)}, minus {beside or 'pi_0'} | {cells} |"
+    assert row in said("docs/tuning.md")
+    if arm == "rlpd":
+        assert by_t(minus(over_deployments)) in said("README.md")
+
+
+def test_what_was_expected_of_bremen_is_told_beside_what_it_brings() -> None:
+    runs = default_runs()["Hopper"]
+    half, uniform = runs["rlpd"], {run.seed: over_deployments(run) for run in runs[REFERENCE]}
+    returned = statistics.mean(recommended(run) or 0.0 for run in half)
+    over = statistics.median(over_deployments(run) / returns(run)[0] - 1 for run in half)
+    more = statistics.mean(over_deployments(run) - uniform[run.seed] for run in half)
+    above, median = gain_of(half).removesuffix(" seeds"), statistics.median(map(gained, half))
+    page = said("docs/tuning.md")
+    assert f"it is in {above}, and {median:.0%}" in page
+    assert f"it came out as {returned:,.0f}, {over:.0%} in the median, and {more:,.0f}." in page
 
 
 @pytest.mark.parametrize("robot", ["Hopper", "Walker2d", "HalfCheetah"])
