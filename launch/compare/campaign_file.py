@@ -11,6 +11,7 @@ from pydantic import Field, PositiveInt
 from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.campaign.published import Figure, Published
 from otc_dist.description import Description, toml_file
+from otc_dist.description.assignments import key_of
 from otc_dist.description.section import Section
 from otc_dist.names import Name
 from otc_dist.terminal.errors import UserError
@@ -93,8 +94,8 @@ def _of(key: str, part: Part, quick: bool) -> Iterator[Prepared]:
     With `quick` its sizes are those of every part: a file says how large a real one is.
     """
     check_settings(part.set)
-    sizes = {descriptions.key_of(text) for text in descriptions.QUICK} if quick else set()
-    changes = [text for text in part.set if descriptions.key_of(text) not in sizes]
+    sizes = {key_of(text) for text in descriptions.QUICK} if quick else set()
+    changes = [text for text in part.set if key_of(text) not in sizes]
     for description, agents, dataset in product(
         part.descriptions, part.agents or (None,), part.datasets or (None,)
     ):

@@ -11,6 +11,7 @@ from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.score_statistics import summarise
 from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.description import Description
+from otc_dist.description.assignments import key_of
 from otc_dist.envs import registry
 from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.printable import say
@@ -90,7 +91,7 @@ def is_look(episodes: int) -> bool:
 
 def check_settings(assignments: Iterable[str]) -> None:
     """Raises UserError: one would do nothing."""
-    if any(descriptions.key_of(text) == "seed" for text in assignments):
+    if any(key_of(text) == "seed" for text in assignments):
         raise UserError("a comparison's seeds are those of --seeds: leave out --set seed")
 
 

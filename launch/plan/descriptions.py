@@ -69,11 +69,6 @@ def add_flags(parser: Parser, *, required: bool = False) -> None:
     parser.add_argument("--quick", action="store_true", help=QUICK_HELP)
 
 
-def key_of(assignment: str) -> str:
-    """Which value `section.key=value` changes."""
-    return assignment.partition("=")[0].strip()
-
-
 def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -> Description:
     """The description `name` with `--quick`, then `--set`, then `--seed` applied, in that order.
 
@@ -87,9 +82,8 @@ def load(name: str, assignments: Sequence[str], seed: int | None, quick: bool) -
         asked = Description.load(path, changes)
         # By the same strategy: settings of OTC's do not ask for it here.
         strategy = f"sampling.name={asked.sampling.name}"
-        sizes = (*QUICK, *_of_imported(asked.dataset.name), strategy)
-        brief = Description.load(path, [*sizes, *changes]).algorithm.brief
-        changes = [*brief, *sizes, *changes]
+        sizes = (*QUICK, *_of_imported(asked.dataset.name), *asked.algorithm.brief)
+        changes = [*sizes, strategy, *changes]
     return Description.load(path, changes).trusted()
 
 

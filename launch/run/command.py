@@ -8,6 +8,7 @@ from pathlib import Path
 from otc_dist.bus.keys import HOST
 from otc_dist.comparison import arms, meanings
 from otc_dist.description import Description, user_code
+from otc_dist.description.assignments import key_of
 from otc_dist.run.folder import RunFolder
 from otc_dist.terminal.commands import OF_LAUNCH, lines
 from otc_dist.terminal.errors import UserError
@@ -80,7 +81,7 @@ def _check(parser: Parser, arguments: argparse.Namespace) -> None:
         raise UserError("--allow is for --from: the code that a description names is run anyway")
     if "ssh" in given:
         raise UserError("--ssh needs --hosts FILE: on which hosts?")
-    if "seed" in given and "seed" in map(descriptions.key_of, arguments.set):
+    if "seed" in given and "seed" in map(key_of, arguments.set):
         raise UserError("--seed and --set seed are two seeds: leave out one")
     for name in ("print", "image"):
         if name in given:

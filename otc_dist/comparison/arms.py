@@ -6,6 +6,7 @@ from operator import attrgetter
 from otc_dist.comparison import perfect
 from otc_dist.comparison.scores import ComparisonFolder
 from otc_dist.description import Description, user_code
+from otc_dist.description.assignments import key_of
 from otc_dist.description.kinds import STRATEGIES
 from otc_dist.description.sampling import Arm
 from otc_dist.envs import registry
@@ -91,7 +92,7 @@ def _parse_own(text: str) -> tuple[str, tuple[str, ...]]:
     if name in KNOWN or name in ANALYSES:
         raise UserError(f"--arm {text!r}: {name} is an arm already; choose another name")
     assigned = tuple(assignments.split(","))
-    keys = [key.strip() for key, equals, _ in (one.partition("=") for one in assigned) if equals]
+    keys = [key_of(one) for one in assigned if "=" in one]
     if twice := [key for key in keys if keys.count(key) > 1]:
         raise UserError(f"--arm {text!r}: {twice[0]} is given twice")
     if "seed" in keys:

@@ -12,6 +12,11 @@ from otc_dist.description.kinds import ALGORITHMS, STRATEGIES
 from otc_dist.terminal.errors import UserError, unknown
 
 
+def key_of(assignment: str) -> str:
+    """Which value `section.key=value` changes."""
+    return assignment.partition("=")[0].strip()
+
+
 def assign(data: dict[str, object], assignment: str) -> None:
     """Write the value of `section.key=value` into nested dictionaries; UserError if it is none."""
     path, equals, text = assignment.partition("=")

@@ -5,6 +5,7 @@ The same description and seed give the same run, to the byte.
 
 import hashlib
 import re
+from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Self
@@ -142,9 +143,10 @@ class Description(Section):
         out.
         """
         merged, assignments = dict(data), tuple(assignments)
+        asked = _asked(assignments)
         for section, kind in (("algorithm", ALGORITHMS), ("sampling", STRATEGIES)):
-            name, settings = _asked(section, assignments).get("name"), data.get(section, {})
-            if name is not None and isinstance(settings, dict):
+            name, settings = asked[section].get("name"), data.get(section, {})
+            if isinstance(name, str) and isinstance(settings, dict):
                 merged[section] = kind.kept(settings, name)
         for assignment in assignments:
             assign(merged, assignment)
@@ -178,7 +180,7 @@ class Description(Section):
         data["dataset"]["name"] = self.dataset.name.removeprefix(f"{self.env.id}/")
         changed = self.algorithm.model_dump(mode="json", exclude_defaults=True)
         data["algorithm"] = {"name": self.algorithm.name, **changed}
-        asked = _asked("sampling", assignments)
+        asked = _asked(assignments)["sampling"]
         if "name" not in asked and not set(asked) <= set(type(self.sampling).model_fields):
             assignments = (*assignments, f"sampling.name={STRATEGIES.with_settings(asked)}")
         return self.build(data, assignments)
@@ -243,14 +245,13 @@ class Description(Section):
         return _hash(self.model_dump_json(include=parts) + self.env.id)
 
 
-def _asked(section: str, assignments: Iterable[str]) -> dict[str, str]:
-    """Setting -> value, as written, of the assignments to a section."""
-    pairs = (text.partition("=")[::2] for text in assignments)
-    return {
-        key.removeprefix(f"{section}.").strip(): value.strip(" '\"")
-        for key, value in pairs
-        if key.startswith(f"{section}.")
-    }
+def _asked(assignments: Iterable[str]) -> defaultdict[str, dict[str, object]]:
+    """Section -> setting -> value, of what the assignments alone say. Raises UserError."""
+    written: dict[str, object] = {}
+    for assignment in assignments:
+        assign(written, assignment)
+    sections = ((name, dict(one)) for name, one in written.items() if isinstance(one, dict))
+    return defaultdict(dict, sections)
 
 
 def progress(deployment: int, count: int) -> float:

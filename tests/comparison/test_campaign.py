@@ -27,11 +27,13 @@ _OF_ITS_OWN = ("seconds", "versions")  # what two makings of the same run may di
 @pytest.fixture
 def file(tmp_path: Path, tiny_flags: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> Path:
     """A campaign of two comparisons that are, by `--quick`, those of the fixture `finished`."""
-    quick = (*descriptions.QUICK, *tiny_flags[1::2])
+    algorithm, *sizes = tiny_flags[1::2]
+    quick = (*descriptions.QUICK, *sizes)
     monkeypatch.setattr("otc_dist.launch.plan.descriptions.QUICK", quick)
     path = tmp_path / "twice.toml"
     part = 'descriptions = ["3agent_hopper"]\narms = ["otc-embedding"]\n'
-    part += 'set = ["sampling.name=otc", "offline.updates=1"]\n'  # the size is not for a quick look
+    # The size is not for a quick look.
+    part += f'set = ["{algorithm}", "sampling.name=otc", "offline.updates=1"]\n'
     figure = 'title = "Figure"\nclaim = "two comparisons agree"\nparts = ["one"]\nalpha = true\n'
     figure += 'better = ["otc-embedding"]\nthan = ["uniform"]\n'
     path.write_text(f'seeds = "0..1"\n[[figures]]\n{figure}[parts.one]\n{part}[parts.two]\n{part}')

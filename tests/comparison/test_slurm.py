@@ -195,18 +195,21 @@ def test_what_is_refused_leaves_nothing_that_was_not_there(
     say("squeue", b"")
     (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho 'sbatch: error: no' >&2; exit 1\n")
     (tmp_path / "bin" / "sbatch").chmod(0o755)
-    monkeypatch.setattr(descriptions, "QUICK", (*descriptions.QUICK, *tiny_flags[1::2]))
-    (tmp_path / "two.toml").write_text(
-        'seeds = "0"\n[parts.one]\ndescriptions = ["3agent_hopper"]\n'
-        '[parts.two]\ndescriptions = ["3agent_hopper"]\n'
+    algorithm, *sizes = tiny_flags[1::2]
+    monkeypatch.setattr(descriptions, "QUICK", (*descriptions.QUICK, *sizes))
+    part = f'descriptions = ["3agent_hopper"]\nset = ["{algorithm}"]\n'
+    (tmp_path / "two.toml").write_text(f'seeds = "0"\n[parts.one]\n{part}[parts.two]\n{part}')
+    named = (
+        (str(tmp_path / "two.toml"),)
+        if what == "campaign"
+        else ("3agent_hopper", "--set", algorithm)
     )
-    named = tmp_path / "two.toml" if what == "campaign" else "3agent_hopper"
     kept = () if what == "mechanism" else ("--results", "kept/here")
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     flags = (*("--quick", "--seeds", "0", "--on", "slurm"), *kept)
     with pytest.raises(UserError, match="SLURM refuses: sbatch: error: no"):
-        launch([what, str(named), *flags])
+        launch([what, *named, *flags])
     taken = "offline policies are those that an earlier comparison trained"
     assert (taken in capsys.readouterr().out) is (what != "mechanism")
     assert list(Path().iterdir()) == []

@@ -21,10 +21,15 @@ from .recorded import Deployments
 JOINT = [("minari", "joint-v0"), ("vault", "joint.vlt"), ("lerobot", "joint")]
 
 
-def test_what_is_exported_as_d4rl_or_minari_can_be_imported_again(
-    replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cache of each test's own, into which it imports."""
     monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
+
+
+def test_what_is_exported_as_d4rl_or_minari_can_be_imported_again(
+    replay: Replay, tmp_path: Path
+) -> None:
     path = tmp_path / "a.mcap"
     alone = Deployments([path], [play("hopper-1x3", path, 120)])
     expected = alone.of_agent(0)
@@ -50,12 +55,10 @@ def rows(data: JointTransitions) -> list[bytes]:
 def test_a_joint_set_is_imported_like_the_logs_it_was_made_of(
     replay: Replay,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     env_id: str,
     form: str,
     place: str,
 ) -> None:
-    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
     env_id = "mpe2.simple_push_v3:parallel_env" if env_id == "simple" else env_id
     user_code.allow(env_id)
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
@@ -86,12 +89,10 @@ def test_a_joint_set_is_imported_like_the_logs_it_was_made_of(
 def test_a_data_set_goes_out_and_comes_back_to_the_bit(
     replay: Replay,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     env_id: str,
     form: str,
     place: str,
 ) -> None:
-    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
     made = store.ensure(f"{env_id}/random", 150)
     _, told = replay(f"{env_id}/random", "--export", form, "--out", tmp_path / "out")
     assert "150 transitions" in told
@@ -110,11 +111,9 @@ def test_episodes_whose_beginning_was_not_exported_count_as_cut(
     hopper: Deployments,
     replay: Replay,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     form: str,
     place: str,
 ) -> None:
-    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
     replay(hopper.paths[0], "--export", form, "--out", tmp_path / "out", "--steps", "9:100")
     card = import_files([tmp_path / "out" / place], "part")
     part = Deployments(hopper.paths[:1], [hopper.steps[0][9:100]]).trajectories()
@@ -129,9 +128,8 @@ def test_episodes_whose_beginning_was_not_exported_count_as_cut(
 
 
 def test_a_step_that_did_not_happen_is_left_out_of_a_joint_minari_set(
-    hopper: Deployments, replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hopper: Deployments, replay: Replay, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
     replay(hopper.paths[0], "--export", "minari", "--out", tmp_path / "out", "--steps", "0:60")
     place = tmp_path / "out" / "joint-v0"
     whole = import_files([place], "whole")
@@ -145,9 +143,8 @@ def test_a_step_that_did_not_happen_is_left_out_of_a_joint_minari_set(
 
 
 def test_a_joint_minari_set_of_another_team_or_damaged_is_refused_in_one_line(
-    hopper: Deployments, replay: Replay, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hopper: Deployments, replay: Replay, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv("OTC_DIST_CACHE", str(tmp_path / "cache"))
     replay(hopper.paths[0], "--export", "minari", "--out", tmp_path / "out", "--steps", "0:20")
     place = tmp_path / "out" / "joint-v0"
 
