@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
             note_shortfall(summary)
         selections = [select(arguments, summary) for summary in summaries]
         with (
-            claimed(out, force=arguments.force) as path,
+            claimed(out, force=arguments.force, reads=arguments.files) as path,
             path.open("wb") as stream,
             shown(out.name, "steps") as report,
         ):

@@ -23,7 +23,7 @@ _SECONDS = 0.05  # a step, where no scene says how long it takes
 def run(arguments: argparse.Namespace) -> int:
     """Write the page of the selected steps and say where it is."""
     out = Path(arguments.html)
-    with claimed(out, force=arguments.force) as path:
+    with claimed(out, force=arguments.force, reads=arguments.files) as path:
         page = render(selected_timeline(arguments))
         path.write_text(page, encoding="utf-8")
     say(out)

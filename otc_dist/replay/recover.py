@@ -1,7 +1,7 @@
 """`--recover`: a log anew, from every step of a damaged or unfinished one that is whole."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -21,14 +21,19 @@ def run(arguments: argparse.Namespace) -> int:
     """Write each file's whole steps to another log; 1 unless they are just its deployment's.
 
     Raises:
-        UserError: two files and one `--out`, an output that exists, no whole step, a full disk.
+        UserError: two files and one output, an output that exists or is read, no whole step, a
+            full disk.
     """
-    if arguments.out is not None and len(arguments.files) > 1:
+    files: list[Path] = arguments.files
+    if arguments.out is not None and len(files) > 1:
         raise UserError("--out names one file, but there are several to recover; leave it out")
+    outs = [arguments.out or recovered_path(path) for path in files]
+    if len(set(outs)) < len(outs):
+        twice = next(out for out in outs if outs.count(out) > 1)
+        raise UserError(f"{twice} would be written twice: recover one file at a time, with --out")
     complete = True  # of all
-    for path in arguments.files:
-        out = arguments.out or recovered_path(path)
-        left_out = recover(path, out, force=arguments.force)
+    for path, out in zip(files, outs, strict=True):
+        left_out = recover(path, out, beside=files, force=arguments.force)
         with OpenLog(out) as log:
             extent = log.extent
         line = f"{out}: {extent.shortfall or f'all of {extent.count}'}; missing: {extent.missing}"
@@ -43,15 +48,18 @@ def recovered_path(path: Path) -> Path:
     return path.with_name(f"{name}.recovered.mcap")
 
 
-def recover(path: Path, out: Path, *, force: bool) -> str | None:
+def recover(path: Path, out: Path, *, force: bool, beside: Sequence[Path] = ()) -> str | None:
     """Write all whole steps of a log to a finished one, `out`; what was left out, in words.
+
+    Args:
+        beside: other logs that `out` does not replace.
 
     Raises:
         UserError: there is none, no header is whole, `out` exists, the disk is full, ...
     """
     with (
         Salvage(path) as found,
-        claimed(out, force=force) as unfinished,
+        claimed(out, force=force, reads=(path, *beside)) as unfinished,
         shown(f"searching {path.name}", "bytes") as report,
     ):
         own = OwnSteps(found.header)

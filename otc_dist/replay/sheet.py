@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     *firsts, rows = firsts  # rows at which they begin, and how many there are
     size = (_COLUMNS * (WIDTH + _GAP) + _GAP, rows * (HEIGHT + _GAP) + _GAP)
     sheet = Image.new("RGB", size, (200, 205, 211))
-    with claimed(out, force=arguments.force) as path:
+    with claimed(out, force=arguments.force, reads=arguments.files) as path:
         with shown(out.name, "pictures") as report:
             done, total = 0, sum(map(len, moments))
             for (title, timeline), of_one, first in zip(timelines, moments, firsts, strict=True):

@@ -27,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise missing(error) from None
     out, timelines = Path(arguments.video), highlights(arguments)
     scene = timelines[0][1].scene
-    with claimed(out, force=arguments.force) as path:
+    with claimed(out, force=arguments.force, reads=arguments.files) as path:
         seconds = Fraction(scene.seconds if scene else 1).limit_denominator(10_000)
         every = max(1, round(1 / (_RATE * seconds)))  # steps per frame
         total = sum(len(range(0, len(timeline), every)) for _, timeline in timelines)

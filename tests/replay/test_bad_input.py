@@ -1,6 +1,7 @@
 """Files that are no logs of ours are answered in one line, and nothing changes."""
 
 import io
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -99,6 +100,82 @@ def test_what_would_do_nothing_or_be_misnamed_is_refused(
     recorded: tuple[Recording, Path], refused, arguments: list[str], said: str
 ) -> None:
     assert said in refused(recorded[1], *arguments)
+
+
+# What writes a file or a folder -> how; {} is where to.
+_WRITES = {
+    "recover": ("--recover", "--out", "{}", "--force"),
+    "foxglove": ("--foxglove", "{}", "--force"),
+    "html": ("--html", "{}", "--force"),
+    "sheet": ("--sheet", "{}", "--force"),
+    "video": ("--video", "{}", "--force"),
+    "export": ("--export", "csv", "--out", "{}", "--force"),
+}
+_NAMES = {
+    "itself": lambda path, beside: path,
+    "a relative path": lambda path, beside: Path(os.path.relpath(path)),
+    "a symlink": lambda path, beside: beside.symlink_to(path) or beside,
+    "a hard link": lambda path, beside: beside.hardlink_to(path) or beside,
+}
+
+
+@pytest.mark.parametrize("action", _WRITES)
+@pytest.mark.parametrize("named", _NAMES)
+def test_what_is_read_is_never_replaced(
+    recorded: tuple[Recording, Path], tmp_path: Path, refused, action: str, named: str
+) -> None:
+    path = tmp_path / "log"  # which has no ending that a picture could not have
+    path.write_bytes(recorded[1].read_bytes())
+    out = _NAMES[named](path, tmp_path / "other")
+    there = {p: p.read_bytes() for p in tmp_path.iterdir()}
+    message = refused(path, *(part.format(out) for part in _WRITES[action]))
+    assert message == f"{out} is what is read, or holds it: write to another place"
+    assert {p: p.read_bytes() for p in tmp_path.iterdir()} == there
+
+
+def test_an_unfinished_log_is_not_replaced_by_its_full_name(
+    recorded: tuple[Recording, Path], tmp_path: Path, refused
+) -> None:
+    """`log.mcap` stands for it where only `log.mcap.partial` is there."""
+    partial = tmp_path / "log.mcap.partial"
+    partial.write_bytes(recorded[1].read_bytes()[:-100])
+    recover = (tmp_path / "log.mcap", "--recover", "--force", "--out", partial)
+    assert "is what is read" in refused(*recover)
+    assert partial.stat().st_size == recorded[1].stat().st_size - 100
+
+
+@pytest.mark.parametrize("action", _WRITES)
+def test_force_takes_no_folder_away(
+    recorded: tuple[Recording, Path], tmp_path: Path, refused, action: str
+) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "letter.txt").touch()
+    message = refused(recorded[1], *(part.format(folder) for part in _WRITES[action]))
+    assert message.startswith(f"{folder} is a folder")
+    assert (folder / "letter.txt").exists()
+
+
+def test_an_export_takes_no_log_away_that_lies_in_an_earlier_one(
+    recorded: tuple[Recording, Path], tmp_path: Path, replay, refused
+) -> None:
+    out = tmp_path / "out"
+    replay(recorded[1], "--export", "csv", "--out", out)
+    inside = out / "log.mcap"
+    inside.write_bytes(recorded[1].read_bytes())
+    assert "holds it" in refused(inside, "--export", "csv", "--out", out, "--force")
+    assert inside.exists()
+
+
+def test_several_logs_are_not_recovered_over_each_other(
+    recorded: tuple[Recording, Path], tmp_path: Path, refused
+) -> None:
+    logs = [tmp_path / name for name in ("a.mcap", "a.mcap.partial", "a.recovered.mcap")]
+    for log in logs:
+        log.write_bytes(recorded[1].read_bytes())
+    assert "would be written twice" in refused(*logs[:2], "--recover", "--force")
+    assert "is what is read" in refused(logs[0], logs[2], "--recover", "--force")
+    assert [log.read_bytes() for log in logs] == [recorded[1].read_bytes()] * 3
 
 
 def test_the_line_goes_to_the_error_output_and_the_status_is_2(tmp_path: Path) -> None:

@@ -29,8 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
     form = FORMATS[arguments.export]
     form.opener()  # a library that is missing is reported before anything is read
     kind, parts = parts_of(arguments)
-    _check_replaceable(arguments.out)
-    with claimed(arguments.out, force=arguments.force) as folder:
+    out, force, reads = arguments.out, arguments.force, arguments.files
+    with claimed(out, force=force, reads=reads, marker=CARD) as folder:
         folder.mkdir()
         card = _export(folder, {kind: [part.about() for part in parts]}, parts, form, arguments)
         for path in (*folder.rglob("*"), folder):
@@ -40,12 +40,6 @@ def run(arguments: argparse.Namespace) -> int:
         f" {card['transitions']:,} transitions in {card['trajectories']:,} trajectories"
     )
     return 0
-
-
-def _check_replaceable(out: Path) -> None:
-    """That `--force` takes away an earlier export at most, and never a folder of something else."""
-    if out.is_dir() and any(out.iterdir()) and not (out / CARD).exists():
-        raise UserError(f"{out} is a folder with something else in it: choose another --out")
 
 
 def _export(
