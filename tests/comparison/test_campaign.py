@@ -212,11 +212,11 @@ def test_the_paper_s_first_table() -> None:
     assert campaign.seeds == "20..24" and len(found) == 3 * 3 * 3
     paper = {"paper-embedding", "paper-value"}
     figures = {"paper-embedding-fixed", "balanced", "online-only"}  # 4 and 5
-    arms = {"bcq": paper | figures, "awac": paper, "default": set(), "default-hopper": {"rlpd"}}
+    arms = {"bcq": paper | figures, "awac": paper, "default": set(), "default-online": {"rlpd"}}
     for robot in ("2agent_halfcheetah", "2agent_walker2d", "3agent_hopper"):
         algorithm_of = {
             **{"bcq": "bcq", "awac": "awac"},
-            "default-hopper" if robot == "3agent_hopper" else "default": descriptions.load(
+            "default" if robot == "2agent_halfcheetah" else "default-online": descriptions.load(
                 robot, (), None, quick=False
             ).algorithm.name,
         }

@@ -269,7 +269,7 @@ def test_the_paper_s_claims_are_of_arms_that_its_campaigns_have(name: str) -> No
     claimed = {part for figure in campaign.figures for part in figure.parts}
     assert campaign.seeds == "20..24" and claimed == {*campaign.parts} - {
         "default",
-        "default-hopper",
+        "default-online",
     }
     for one in campaign.comparisons(quick=True):
         (part,) = (key for key in campaign.parts if one.name.endswith(f"-{key}"))

@@ -30,8 +30,9 @@ VARIANTS = {
     "1agent_walker2d": ("algorithm.name=td3bc", "sampling.name=balanced"),
     "2agent_halfcheetah": ("dataset.name=random", "sampling.distance=value"),
     "2agent_walker2d": (
-        *("dataset.name=medium", "deployment.exploration=sequential"),
+        *("dataset.name=medium", "deployment.exploration=sequential", "deployment.revert=false"),
         *("sampling.distance=dynamics", "sampling.acceptance=conformal", "sampling.level=0.1"),
+        *BREMEN,
     ),
     "3agent_hopper": ("algorithm.name=bremen", *BREMEN),
     "5m_vs_6m": ("sampling.distance=dynamics", "sampling.acceptance=share"),
