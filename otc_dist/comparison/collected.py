@@ -100,6 +100,11 @@ def check(folder: ComparisonFolder, root: Path) -> None:
     """
     if root.resolve() == folder.root.resolve():
         raise UserError(f"--results {root} is the comparison's own folder: use another --results")
+    if RunFolder(root).run_json.exists() or ComparisonFolder(root).inputs.exists():
+        raise UserError(
+            f"--results {root} is the folder of a run or of another comparison, which could then"
+            " not go on: use another --results"
+        )
     durable.room_for(root)
     _check_same(root / "description.toml", folder.description.read_bytes())
 

@@ -84,6 +84,24 @@ def test_results_are_not_kept_in_the_comparison_itself(campaign: list[str], tmp_
     assert not Path(out).exists()
 
 
+@pytest.mark.parametrize("file", ["run.json", "inputs.json"])
+def test_results_are_not_kept_among_a_run_s_or_another_comparison_s(
+    campaign: list[str], tmp_path: Path, file: str
+) -> None:
+    """Also one of the very same description, which it would seem to be of."""
+    kept = tmp_path / "kept"
+    (kept / PART).mkdir(parents=True)
+    (kept / PART / file).write_text("{}")
+    (kept / PART / "description.toml").write_text(_description("seed=0"))
+    before = sorted(tmp_path.rglob("*"))
+    out = ["--quick", "--out", str(tmp_path / "out")]
+    compare = ["compare", "3agent_hopper", *out, "--results", str(kept / PART)]
+    for words in (compare, [*campaign, "--results", str(kept)]):
+        said = refusal(words)
+        assert f"--results {kept / PART} is the folder of a run or of another comparison" in said
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_a_mechanism_s_status_is_of_a_comparison(tmp_path: Path) -> None:
     (tmp_path / "description.toml").write_text(_description("seed=0"))
     (tmp_path / "run.json").write_text("{}")

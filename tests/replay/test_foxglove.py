@@ -89,5 +89,5 @@ def test_mistakes(made: MadeRun, recorded, tmp_path: Path, refused: Callable[...
     again = shutil.copy(log, tmp_path / "again.mcap")
     assert "same deployment" in refused(log, again, "--foxglove", out)
     assert "one environment" in refused(log, recorded[1], "--foxglove", out)
-    assert "exists; --force" in refused(log, "--foxglove", log)
+    assert "exists; --force" in refused(log, "--foxglove", again)
     assert not out.exists()
