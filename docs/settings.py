@@ -17,9 +17,10 @@ HEAD = """\
 <!-- Written by `python docs/settings.py`; tests/test_reference.py compares. -->
 
 All that a run depends on, section by section. A description is a TOML file with these sections, and
-`--set section.key=value` changes one value of it ([running](../running.md)). Unknown keys, and
-values out of range, are refused in one line. The run's folder keeps the resolved description, in
-which every value stands. README says
+`--set section.key=value` changes one value of it ([running](../running.md)); where one setting is
+given twice, the last counts. Unknown keys, values out of range, and on the command line settings
+that nothing obeys, like `sampling.alpha` where nothing is accepted by rank, are refused in one
+line. The run's folder keeps the resolved description, in which every value stands. README says
 [which settings to use](../../README.md#which-settings-to-use).
 """
 COMPARED = {

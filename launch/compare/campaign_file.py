@@ -26,7 +26,7 @@ FORM = """\
   datasets = ["random", "medium"]                      # without them, each description's own
   set = ["algorithm.name=bcq", "offline.updates=100000"]
   arms = ["paper-value", "uniform"]                    # without them, compare's usual ones
-  arm = ["mild=sampling.name=otc,sampling.alpha=0.5"]  # more, of your own
+  arm = ["strict=sampling.name=otc,sampling.share=0.02"]  # more, of your own
   agents = [2, 4]                                      # of a task for any number of them
 """
 

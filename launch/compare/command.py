@@ -15,7 +15,7 @@ from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.parser import Parser, check_ending
 from otc_dist.terminal.printable import say
 
-from ..plan import descriptions
+from ..plan import descriptions, idle
 from . import cluster, comparison, held_folder
 from .comparison import Comparison, is_look
 
@@ -49,6 +49,8 @@ def main(argv: list[str]) -> int:
     quick: bool = arguments.quick
     loaded = descriptions.load(arguments.description, arguments.set, None, quick)
     base, arms = comparison.prepare(loaded, arguments.arms, arguments.arm, quick)
+    own = [text.partition("=")[0] for text in arguments.arm]
+    idle.check_compared(arguments.set, loaded, arms, own)
     name = f"compare-{base.name}{'-quick' if quick else ''}"
     folder = ComparisonFolder((arguments.out or Path("runs") / name).resolve())
     one = Comparison(folder, base, arms, seeds, quick, arguments.results)
@@ -101,7 +103,7 @@ def command_line() -> Parser:
         action="append",
         default=[],
         metavar="NAME=section.key=value,...",
-        help="one more arm of your own, like mild=sampling.name=otc,sampling.alpha=0.5; one that"
+        help="one more arm of your own, like strict=sampling.name=otc,sampling.share=0.02; one that"
         " changes algorithm.* or offline.* trains a pi_0 of its own",
     )
     parser.add_argument("--seeds", help=f"0..9 or 0,1,5 (default: {SEEDS}; ten for any claim)")

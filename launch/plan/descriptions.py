@@ -63,8 +63,8 @@ def add_flags(parser: Parser, *, required: bool = False) -> None:
         action="append",
         default=[],
         metavar="section.key=value",
-        help="change one value, like sampling.alpha=2; may be given again"
-        " (all settings: docs/reference/settings.md)",
+        help="change one value, like sampling.share=0.2; may be given again, and of one setting"
+        " the last counts (all settings: docs/reference/settings.md)",
     )
     parser.add_argument("--quick", action="store_true", help=QUICK_HELP)
 

@@ -15,7 +15,7 @@ from otc_dist.terminal.errors import UserError
 from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import say
 
-from ..plan import descriptions, new_folder, plan, preflight, run_record
+from ..plan import descriptions, idle, new_folder, plan, preflight, run_record
 from ..plan.beside import Beside
 from ..plan.placement import Placement
 from . import elsewhere, hosts, kubernetes
@@ -35,6 +35,7 @@ def main(argv: list[str]) -> int:
     arguments = parser.parse_args(argv)
     _check(parser, arguments)
     user_code.allow(*arguments.allow)
+    own = tuple(arguments.set)
     if arguments.arm is not None and arguments.resume is None:
         # Whatever is done with --set, as on other hosts, is done with an arm.
         arguments.set = [*arms.of_single_run(arguments.arm), *arguments.set]
@@ -48,7 +49,7 @@ def main(argv: list[str]) -> int:
         return _resume(arguments)
     if arguments.description is None:
         raise UserError("which description? --list shows those that come with the package")
-    return _start(arguments)
+    return _start(arguments, own)
 
 
 # What one asks for -> why, and with what it can be asked for: whatever else is given does nothing.
@@ -88,9 +89,13 @@ def _check(parser: Parser, arguments: argparse.Namespace) -> None:
             raise UserError(f"--{name} needs --on kubernetes")
 
 
-def _start(arguments: argparse.Namespace) -> int:
+def _start(arguments: argparse.Namespace, own: tuple[str, ...]) -> int:
+    """Begin a run. `own`: the assignments of --set without those of --arm."""
     quick: bool = arguments.quick
     chosen = descriptions.load(arguments.description, arguments.set, arguments.seed, quick)
+    idle.check(own, chosen)
+    if arguments.origin is not None:
+        idle.check_begun(arguments.set)
     team = plan.team_of(chosen)
     if arguments.origin is not None and arguments.role:
         raise UserError("--from is for a run whose processes are all on one machine")

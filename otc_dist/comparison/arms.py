@@ -87,7 +87,7 @@ def _parse_own(text: str) -> tuple[str, tuple[str, ...]]:
     if not is_name(name) or "=" not in assignments:
         raise UserError(
             f"--arm {text!r}: write name=section.key=value,..., like"
-            " mild=sampling.name=otc,sampling.alpha=0.5"
+            " strict=sampling.name=otc,sampling.share=0.02"
         )
     if name in KNOWN or name in ANALYSES:
         raise UserError(f"--arm {text!r}: {name} is an arm already; choose another name")

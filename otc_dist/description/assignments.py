@@ -22,7 +22,7 @@ def assign(data: dict[str, object], assignment: str) -> None:
     path, equals, text = assignment.partition("=")
     *sections, key = path.strip().split(".")
     if not equals or not key:
-        raise UserError(f"--set {assignment!r}: write section.key=value, like sampling.alpha=0.5")
+        raise UserError(f"--set {assignment!r}: write section.key=value, like sampling.share=0.2")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):

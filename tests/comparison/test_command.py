@@ -33,6 +33,15 @@ from otc_dist.terminal.errors import UserError
         (("--arm", "x=sampling.alpha=1,sampling.alpha=2"), "sampling.alpha is given twice"),
         (("--arm", "x=sampling.alpha=1", "--arm", "x=sampling.alpha=2"), "--arm x is given twice"),
         (("--set", "seed=3"), "seeds are those of --seeds: leave out --set seed"),
+        (("--set", "sampling.online_share=0.3"), "on any of the arms: each of them says it itself"),
+        (
+            ("--set", "sampling.alpha=2"),
+            "on any of the arms: it is for sampling.acceptance = 'rank",
+        ),
+        (
+            ("--arm", "x=sampling.name=otc,sampling.alpha=0.5"),
+            "arm x: sampling.alpha has no effect: .*acceptance is 'share'",
+        ),
         (("--sedes", "0"), "unknown flag '--sedes'; did you mean '--seeds'"),
     ],
 )

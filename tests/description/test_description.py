@@ -175,7 +175,7 @@ MISTAKES = {
     "algorithm.hidden=[64, 0]": "algorithm.hidden.1: input should be greater than 0, not 0",
     "sampling=3": "sampling is a section: write sampling.KEY",
     "name.first=1": "'name' is a value, not a section",
-    "sampling.alpha": "write section.key=value, like sampling.alpha=0.5",
+    "sampling.alpha": "write section.key=value, like sampling.share=0.2",
     "=3": "write section.key=value",
     "": "write section.key=value",
     "..=1": "write section.key=value",

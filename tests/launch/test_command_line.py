@@ -62,6 +62,32 @@ from .short import SHORT
         (["3agent_hopper", "--deployments", "3"], "--deployments extends a run"),
         (["3agent_hopper", "--arm", "otc-embeding"], "did you mean 'otc-embedding'?"),
         (["3agent_hopper", "--arm", "perfect"], "is an arm of `launch compare` only"),
+        (["3agent_hopper", "--set", "sampling.alpha=2"], "sampling.acceptance is 'share'; leave"),
+        (
+            ["3agent_hopper", "--arm", "uniform", "--set", "sampling.adaptive=false"],
+            "sampling.adaptive has no effect: it is for sampling.acceptance = 'rank', and"
+            " sampling.name is 'uniform'; leave it out",
+        ),
+        (["3agent_hopper", "--arm", "otc-embedding", "--set", "sampling.share=0.2"], "is 'rank'"),
+        (["3agent_hopper", "--set", "offline.share=0.2"], "offline.rows is 'all'"),
+        (["3agent_hopper", "--set", "offline={share=0.2}"], "offline.share has no effect"),
+        (["3agent_hopper", "--set", "deployment.exploration_noise=0.3"], "exploration is 'none'"),
+        (
+            [
+                *("3agent_hopper", "--set", "deployment.transitions=80"),
+                *("--set", "deployment.fraction=0.1"),
+            ],
+            "deployment.fraction has no effect: it is for deployment.transitions = 0",
+        ),
+        *(
+            (["3agent_hopper", "--from", "runs/earlier", "--set", setting], f"{key} has no effect:")
+            for key, setting in (
+                ("offline.updates", "offline.updates=9"),
+                ("offline.rows", "offline.rows=typical"),
+                ("offline.policies", "offline={policies='0123'}"),
+            )
+        ),
+        (["3agent_hopper", "--from", "r", "--arm", "typical-offline"], "takes pi_0 from another"),
     ],
 )
 def test_a_mistake_is_one_line(
