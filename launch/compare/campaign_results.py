@@ -9,11 +9,10 @@ from otc_dist.comparison.campaign.found import Found
 from otc_dist.comparison.campaign.published import Published
 from otc_dist.comparison.campaign.verdicts import Verdict
 
-from ..plan import descriptions
 from . import campaign_file
 from .campaign_file import Campaign
 from .command import lines
-from .comparison import is_look
+from .comparison import label_of
 
 PAGE = "campaign.html"
 
@@ -74,8 +73,8 @@ class Results:
 
     def page(self) -> str:
         """The HTML document."""
-        quick = any(is_look(one.scores.episodes) for one in self.found)
-        label = descriptions.QUICK_LABEL if quick else ""
+        labels = (label_of(one.scores.quick, one.scores.episodes) for one in self.found)
+        label = next(filter(None, labels), "")
         title = f"Campaign: {self.root.name}"
         return page.page(title, self.found, self.judged, self.published, label)
 

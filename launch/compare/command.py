@@ -17,7 +17,7 @@ from otc_dist.terminal.printable import say
 
 from ..plan import descriptions, idle
 from . import cluster, comparison, held_folder
-from .comparison import Comparison, is_look
+from .comparison import Comparison
 
 SEEDS = "0..9"
 
@@ -77,8 +77,9 @@ def _show(arguments: argparse.Namespace) -> int:
 
 def lines(found: Collected) -> Iterator[str]:
     """What raw scores are of, and all their tables."""
-    label = f" ({descriptions.QUICK_LABEL})" if is_look(found.episodes) else ""
-    yield f"{found.name}, {found.dataset}{label}; on {tables.processors(found.runs)}"
+    label = comparison.label_of(found.quick, found.episodes)
+    of = f"{found.name}, {found.dataset}{label and f' ({label})'}"
+    yield f"{of}; on {tables.processors(found.runs)}"
     yield from tables.text(summarise(found.runs, found.normalise))
 
 

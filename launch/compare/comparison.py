@@ -73,7 +73,7 @@ class Comparison:
         runs = {arm: [Run.read(self.folder.run(s, arm)) for s in complete] for arm in self.arms}
         env_id = self.base.env.id
         summary = summarise(runs, lambda value: registry.normalised_score(env_id, value))
-        label = descriptions.QUICK_LABEL if self.quick else ""
+        label = label_of(self.folder.quick.exists(), self.base.evaluation.episodes)
         report.write(self.folder, self.base, self.arms, summary, runs, label)
         of_all = "" if len(complete) == len(self.seeds) else f" of {len(self.seeds)}: so far"
         count = f"{len(complete)} complete {'seed' if len(complete) == 1 else 'seeds'}"
@@ -84,9 +84,15 @@ class Comparison:
             say("", heading, *tables.text(summary), f"report: {self.folder.report}", "")
 
 
-def is_look(episodes: int) -> bool:
-    """Whether a comparison of so few greedy episodes is a quick look: `--quick` alone allows it."""
-    return episodes < EPISODES
+def label_of(quick: bool, episodes: int) -> str:
+    """What is said of a comparison that is no real result; "" of one that is.
+
+    Args:
+        quick: whether it was begun as a quick look.
+        episodes: greedy ones of an evaluation; so few that `--quick` alone allows it say the same,
+            also of what an earlier version began.
+    """
+    return descriptions.QUICK_LABEL if quick or episodes < EPISODES else ""
 
 
 def check_settings(assignments: Iterable[str]) -> None:
@@ -97,7 +103,7 @@ def check_settings(assignments: Iterable[str]) -> None:
 
 def check_size(base: Description, quick: bool) -> None:
     """Raises UserError: so few greedy episodes are for a quick look only."""
-    if is_look(base.evaluation.episodes) and not quick:
+    if base.evaluation.episodes < EPISODES and not quick:
         raise UserError(
             f"a comparison needs evaluation.episodes >= {EPISODES}, not"
             f" {base.evaluation.episodes}: returns are too noisy (--quick allows fewer, as a look)"
@@ -161,7 +167,7 @@ def carry_out(
     with ExitStack() as held:
         new = []
         for one in comparisons:
-            new.append(held.enter_context(held_folder.opened(one.folder, one.base)))
+            new.append(held.enter_context(held_folder.opened(one.folder, one.base, one.quick)))
             if one.results is not None:  # a mistake shows before anything runs
                 collected.check(one.folder, one.results)
         status = _do(root, comparisons, new, queue, whole)

@@ -11,7 +11,7 @@ from otc_dist.run.folder import RunFolder
 from otc_dist.system import durable, records
 from otc_dist.terminal.errors import UserError
 
-from ..plan import run_record
+from ..plan import descriptions, run_record
 from ..plan.new_folder import NewFolder
 
 
@@ -27,8 +27,10 @@ def check(folder: ComparisonFolder, base: Description) -> None:
 
 
 @contextmanager
-def opened(folder: ComparisonFolder, base: Description) -> Iterator[NewFolder]:
+def opened(folder: ComparisonFolder, base: Description, quick: bool = False) -> Iterator[NewFolder]:
     """The folder, held against other launchers, with `base` as its description.
+
+    A new one is marked if it is to be a quick look.
 
     What is refused before any job of it is done leaves nothing: of a new one, all is taken away
     again; in one that was begun before, which may have its jobs in a queue, what has come into it.
@@ -43,6 +45,8 @@ def opened(folder: ComparisonFolder, base: Description) -> Iterator[NewFolder]:
         begun = folder.description.exists()
         _check_same(folder, base)  # another launcher may have begun it meanwhile
         if not begun:
+            if quick:
+                durable.write(folder.quick, f"{descriptions.QUICK_LABEL}\n".encode())
             durable.write(folder.description, base.to_toml().encode())
         try:
             note_inputs(folder, base)

@@ -15,7 +15,7 @@ from ..plan import descriptions
 from ..run.resolve import resolve
 from ..supervise.processes import MISTAKE
 from . import cluster, held_folder, job_graph
-from .comparison import check_settings, check_size, is_look
+from .comparison import check_settings, check_size, label_of
 
 _EXPLANATION = """\
 Deploys the offline policies once and asks, of the transitions that each distance selects at
@@ -53,7 +53,7 @@ def main(argv: list[str]) -> int:
                 f"--set would change pi_0, and {folder.root} has its own: leave it out, or use"
                 " another --checkpoints"
             )
-        if quick and arguments.checkpoints and not is_look(base.evaluation.episodes):
+        if quick and arguments.checkpoints and not _label(folder, base):
             raise UserError(
                 f"--quick would change pi_0, and {folder.root} has that of a whole comparison:"
                 " leave it out, or use another --checkpoints"
@@ -73,7 +73,7 @@ def main(argv: list[str]) -> int:
     # A comparison may be at work in the folder: it is ours only if something must be trained.
     # Nor do two submit the same jobs.
     trained = queue is None and all(job.done for job in jobs[: -len(seeds)])
-    with nullcontext() if trained else held_folder.opened(folder, base) as new:
+    with nullcontext() if trained else held_folder.opened(folder, base, quick) as new:
         if queue is not None and not all(job.done for job in jobs):
             return cluster.submit(jobs, queue)
         if new:
@@ -83,11 +83,15 @@ def main(argv: list[str]) -> int:
             if new and status == MISTAKE:
                 new.take_away()
             return status
-    if quick or is_look(base.evaluation.episodes):
-        print(descriptions.QUICK_LABEL)
+    if label := _label(folder, base):
+        print(label)
     found = table.read([folder.mechanism(name, seed) for seed in seeds])
     print("\n".join(found.lines()))
     return 0
+
+
+def _label(folder: ComparisonFolder, base: Description) -> str:
+    return label_of(folder.quick.exists(), base.evaluation.episodes)
 
 
 def command_line() -> Parser:

@@ -22,7 +22,7 @@ _PRODUCTS = (
 )
 # What a launcher leaves that is killed before anything takes work.
 _BEGUN = {LOCK, "description.toml", "description.toml.partial", "run.json.partial"}
-_BEGUN_TO_COMPARE = {"inputs.json", "inputs.json.partial", "output"}
+_BEGUN_TO_COMPARE = {"inputs.json", "inputs.json.partial", "output", "quick", "quick.partial"}
 
 
 class NewFolder:

@@ -35,6 +35,7 @@ class Collected:
     env_id: str
     dataset: str
     runs: dict[str, list[Run]]  # arm -> its runs by seed; the reference among them
+    quick: bool = False  # whether it was begun as a quick look
 
     @property
     def episodes(self) -> int:
@@ -84,7 +85,7 @@ def collect(root: Path) -> Collected:
         raise UserError(f"runs in {root} have different numbers of deployments: {arms}")
     order = [*KNOWN, *sorted(runs)]
     runs = {arm: runs[arm] for arm in sorted(runs, key=order.index)}
-    return Collected(name, env_id, dataset, runs)
+    return Collected(name, env_id, dataset, runs, ComparisonFolder(root).quick.exists())
 
 
 def has_scores(root: Path) -> bool:
@@ -124,6 +125,8 @@ def keep(folder: ComparisonFolder, arms: Iterable[str], seeds: Iterable[int], ro
     """
     try:
         contents = {root / "description.toml": folder.description.read_bytes()}
+        if folder.quick.exists():
+            contents[ComparisonFolder(root).quick] = folder.quick.read_bytes()
         for seed in seeds:
             into = root / f"seed_{seed:02d}"
             contents[into / OFFLINE] = compact(folder.offline(seed))

@@ -119,6 +119,7 @@ class ComparisonFolder:
     """Paths of a comparison's files.
 
     description.toml          the resolved description that all arms share
+    quick                     there if it was begun as a quick look, which it stays
     inputs.json               digests of the data, and of a user's own sources, that all arms share
     seeds/seed_00/agents/     offline checkpoints of a seed, one folder an agent
     seeds/seed_00/pi_0.json   greedy returns of its offline policies, shared by all arms
@@ -134,6 +135,10 @@ class ComparisonFolder:
     @property
     def description(self) -> Path:
         return self.root / "description.toml"
+
+    @property
+    def quick(self) -> Path:
+        return self.root / "quick"
 
     @property
     def inputs(self) -> Path:

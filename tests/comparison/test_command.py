@@ -1,4 +1,5 @@
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.datasets import store
 from otc_dist.description import Description
 from otc_dist.launch.__main__ import main
-from otc_dist.launch.compare import command, held_folder, job_graph, mechanism
+from otc_dist.launch.compare import command, comparison, held_folder, job_graph, mechanism
 from otc_dist.launch.plan import descriptions
 from otc_dist.system.processor import processor
 from otc_dist.terminal.errors import UserError
@@ -207,6 +208,33 @@ def test_tables_need_the_raw_scores_only(
     (kept / "seed_01" / "uniform.json").unlink()
     assert command.main(["--tables", str(kept)]) == 0
     assert "of 1 seeds" in capsys.readouterr().out
+
+
+def test_a_quick_look_stays_one_whatever_was_set(
+    finished: ComparisonFolder, base: Description, tmp_path: Path
+) -> None:
+    """As many greedy episodes as a comparison needs make no result of it."""
+    folder, enough = ComparisonFolder(tmp_path / "look"), "evaluation.episodes=40"
+    with held_folder.opened(folder, base.with_assignments(enough), quick=True):
+        pass
+    shutil.copytree(finished.root / "seeds", folder.root / "seeds")
+    for path in folder.root.glob("seeds/*/*.json"):  # as if so many had been played
+        scores = json.loads(path.read_text())
+        for one in scores.get("evaluations", [scores]):
+            for key in ("returns", "lengths"):
+                one[key] = one[key] * 20
+        path.write_text(json.dumps(scores))
+    arms = dict.fromkeys(("uniform", "uniform-null"), ())
+    looked = base.with_assignments(enough)
+    kept = tmp_path / "kept"
+    comparison.Comparison(folder, looked, arms, (0,), True, kept).conclude()
+    assert json.loads(folder.results.read_text())["label"] == descriptions.QUICK_LABEL
+    for root in (folder.root, kept):
+        found = collected.collect(root)
+        assert found.episodes == 40
+        assert f" ({descriptions.QUICK_LABEL}); on" in next(command.lines(found))
+    folder.quick.unlink()  # begun without --quick
+    assert descriptions.QUICK_LABEL not in next(command.lines(collected.collect(folder.root)))
 
 
 def test_results_are_kept_apart_from_those_of_another_description(
