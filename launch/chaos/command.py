@@ -70,13 +70,16 @@ def main(argv: list[str]) -> int:
     """Returns 0 if every run ended as the undisturbed one, and every fault struck that can be had.
 
     Raises:
-        UserError: an unknown fault, or no folder can be made at --out.
+        UserError: an unknown fault, or no folder can be made at --out, or one is there that is not
+            empty.
     """
     arguments = command_line().parse_args(argv)
     wanted = _wanted(arguments.faults)
     sandbox.enter()
     out: Path = (arguments.out or Path(tempfile.mkdtemp(prefix="otc-chaos-"))).resolve()
     NewFolder(out)  # a mistake shows at once
+    if any(out.iterdir()):
+        raise UserError(f"{out} is not empty: use another --out")
     start = time.monotonic()
     with sandbox.prepared(out) as prepared:
         setup = Setup(out, prepared)

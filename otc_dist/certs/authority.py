@@ -21,6 +21,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from otc_dist.bus.addresses import HOST_FORM, is_host
 from otc_dist.bus.identity import AUTHORITY, CERTIFICATE, KEY, Identity
 from otc_dist.bus.keys import HOST, OBSERVER
+from otc_dist.run.folder import holding
 from otc_dist.system import durable
 from otc_dist.terminal.errors import UserError
 
@@ -38,13 +39,20 @@ def make(folder: Path, agents: Sequence[str], names: Sequence[str], days: float)
         days: for which the certificates are valid.
 
     Raises:
-        UserError: a name is none; the folder cannot be written, or holds something else.
+        UserError: a name is none; the folder cannot be written, or holds something else: another
+            authority's certificates, or a run.
     """
     for name in names:
         if not is_host(name):
             raise UserError(f"--host {name!r} is not {HOST_FORM}: write it as learners connect to")
+    if held_by := holding(folder):
+        raise UserError(
+            f"{held_by} is the folder of a run or a comparison, which others may get to see: make"
+            " certificates elsewhere"
+        )
     try:
         _make_private(folder)
+        _check_own(folder, (HOST, *agents, OBSERVER))
         authority = _Authority.of(folder / _AUTHORITY_FOLDER)
         for process in (HOST, *agents, OBSERVER):
             reached_by = tuple(names) if process == HOST else ()
@@ -74,6 +82,19 @@ def _make_private(folder: Path) -> None:
             f"others can write in {folder}, so its certificates cannot be trusted: delete it, or"
             " use another folder"
         )
+
+
+def _check_own(folder: Path, processes: Sequence[str]) -> None:
+    """Raises UserError: a certificate is another authority's, and would be lost."""
+    own = folder / _AUTHORITY_FOLDER / CERTIFICATE
+    known = own.read_bytes() if own.exists() else b""
+    for process in processes:
+        theirs = folder / process / AUTHORITY
+        if theirs.exists() and theirs.read_bytes() != known:
+            raise UserError(
+                f"{theirs.parent} was made by an authority that is not in {folder}: keep it, and"
+                " make certificates where that authority is, or in another folder"
+            )
 
 
 def own_names() -> tuple[str, ...]:

@@ -5,6 +5,19 @@ from pathlib import Path
 
 from otc_dist.terminal.errors import UserError
 
+# One of them lies beside the description of a run or a comparison.
+_BESIDE = ("run.json", "inputs.json", "seeds")
+
+
+def holding(path: Path) -> Path | None:
+    """The folder of a run or of a comparison that `path` is or lies in, or would; None: none."""
+    path = path.resolve()
+    for folder in (path, *path.parents):
+        beside = any((folder / name).exists() for name in _BESIDE)
+        if beside and RunFolder(folder).description.exists():
+            return folder
+    return None
+
 
 @dataclass(frozen=True)
 class RunFolder:

@@ -6,8 +6,8 @@ import sys
 import threading
 from pathlib import Path
 
-from otc_dist.run.folder import RunFolder
-from otc_dist.terminal.errors import run_main
+from otc_dist.run.folder import RunFolder, holding
+from otc_dist.terminal.errors import UserError, run_main
 from otc_dist.terminal.parser import Parser
 from otc_dist.terminal.printable import printable, say
 from otc_dist.track import trackers
@@ -40,7 +40,8 @@ def main(argv: list[str]) -> int:
     """Write a run to a tracker; 1 if something damaged had to be left out.
 
     Raises:
-        OSError, UserError: see `write`; or the tracker's packages are not installed.
+        OSError, UserError: see `write`; `--out` is among a run's own files; or the tracker's
+            packages are not installed.
     """
     arguments = command_line().parse_args(argv)
     trackers.check_installed(arguments.to)
@@ -54,6 +55,12 @@ def main(argv: list[str]) -> int:
 
     folder = RunFolder(arguments.run.resolve())
     out: Path = (arguments.out or folder.tracking(arguments.to)).resolve()
+    held_by = holding(out)
+    if held_by and not out.is_relative_to(RunFolder(held_by).tracking("")):
+        raise UserError(
+            f"{out} is in the folder of a run or a comparison: without --out its own place is"
+            f" {folder.tracking(arguments.to)}"
+        )
     left_out = write(folder, arguments.to, out, ended)
     for problem in left_out:
         say(printable(f"left out: {problem}"), file=sys.stderr)

@@ -6,10 +6,12 @@ from pathlib import Path
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
+from otc_dist.terminal.errors import UserError
 from otc_dist.track.points import TEAM
 from otc_dist.track.trackers import About
 
 _OURS = ".otc_dist"  # how the names of our files end; no other is touched
+_WHOSE = ".otc_dist.run"  # says of which run they are
 
 
 class EventFiles:
@@ -21,6 +23,10 @@ class EventFiles:
     def __init__(self, folder: Path, about: About) -> None:
         self._folder = folder
         self._writers: dict[str, SummaryWriter] = {}
+        whose = folder / _WHOSE
+        if whose.exists() and whose.read_text(encoding="utf-8") != about.identity:
+            raise UserError(f"{folder} holds another run, which would be lost: use another --out")
+        whose.write_text(about.identity, encoding="utf-8")
         for path in folder.glob(f"*/events.out.tfevents.*{_OURS}"):
             path.unlink()
         results = dict.fromkeys(about.results, 0.0)  # by their names; the values are not written

@@ -1,6 +1,7 @@
 """Certificates are made, kept and guarded; a mistake is one line."""
 
 import os
+import shutil
 import stat
 from pathlib import Path
 
@@ -73,6 +74,30 @@ def test_nobody_else_gets_at_certificates_whatever_the_umask(tmp_path: Path) -> 
 def test_mistakes_with_certs_are_one_line(argv: list[str], says: str, tmp_path: Path) -> None:
     assert says in refusal(tmp_path / "certs", *argv)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_learner_s_certificate_from_elsewhere_is_not_replaced(tmp_path: Path) -> None:
+    """On its host it lies alone (`scp -r certs/agent_1 B:certs/`), as in `docs/hosts.md`."""
+    here, there = tmp_path / "A", tmp_path / "B"
+    list(authority.make(here, AGENTS, ["a.example.org"], 30))
+    there.mkdir(mode=0o700)
+    shutil.copytree(here / "agent_1", there / "agent_1")
+    before = {path: path.read_bytes() for path in there.rglob("*.pem")}
+    for _ in ("no authority", "another one"):
+        assert f"{there / 'agent_1'} was made by an auth" in refusal(there, "--agents", "2")
+        assert {path: path.read_bytes() for path in there.glob("agent_1/*.pem")} == before
+        assert not (there / "agent_0").exists()
+        list(authority.make(there, (), ["b.example.org"], 30))
+
+
+@pytest.mark.parametrize("beside", ["run.json", "inputs.json", "seeds"])
+@pytest.mark.parametrize("below", ["", "certs", "output/certs"])
+def test_a_run_s_folder_gets_no_keys(tmp_path: Path, beside: str, below: str) -> None:
+    for name in ("description.toml", beside):
+        (tmp_path / name).touch()
+    said = refusal(tmp_path / below, "--agents", "1")
+    assert said.startswith(f"{tmp_path} is the folder of a run or a comparison")
+    assert len([*tmp_path.iterdir()]) == 2
 
 
 def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path) -> None:

@@ -41,6 +41,8 @@ def test_a_folder_that_cannot_be_made_is_named(
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match=r"cannot make .*/file/out"):
         main(["chaos", "--out", str(tmp_path / "file" / "out")])
+    with pytest.raises(UserError, match="is not empty: use another --out"):
+        main(["chaos", "--out", str(tmp_path)])
 
 
 def test_a_launcher_that_ends_by_itself_has_failed(tmp_path: Path) -> None:

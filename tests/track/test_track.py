@@ -161,6 +161,29 @@ def test_what_cannot_be_written_is_one_line(
     assert words[1:4] == ["-m", "pip", "install"] and len(words) > 4
 
 
+@pytest.mark.parametrize("tracker", sorted(trackers.TRACKERS))
+@pytest.mark.parametrize("below", ["", "agents", "deployments/tensorboard"])
+def test_nothing_is_written_among_a_run_s_files(made: MadeRun, tracker: str, below: str) -> None:
+    run = made.folder.root
+    before = sorted(run.rglob("*"))
+    with pytest.raises(UserError, match=f"its own place is {made.folder.tracking(tracker)}$"):
+        main([str(run), "--to", tracker, "--out", str(run / below)])
+    assert sorted(run.rglob("*")) == before
+
+
+def test_a_tensorboard_of_another_run_stays(made: MadeRun, tmp_path: Path) -> None:
+    out = tmp_path / "tensorboard"
+    written = [str(made.folder.root), "--to", "tensorboard", "--out", str(out)]
+    assert main(written) == 0
+    points = READERS["tensorboard"](out)
+    other = MadeRun(tmp_path / "other")
+    other.write_record(run="another")
+    with pytest.raises(UserError, match="holds another run, which would be lost"):
+        main([str(other.folder.root), *written[1:]])
+    assert READERS["tensorboard"](out) == points
+    assert main(written) == 0
+
+
 _NO_SPACE = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
