@@ -74,6 +74,7 @@ def main(argv: list[str]) -> int:
     if ComparisonFolder(root).description.exists():
         raise UserError(f"{root} is the folder of a comparison or a run; use another --out")
     results: Path | None = arguments.results
+    _check_listed(path, campaign, root if results is None else results, root)
     asked = None if arguments.seeds is None else arms_of.parse_seeds(arguments.seeds)
     try:
         seeds = arms_of.parse_seeds(campaign.seeds) if asked is None else asked
@@ -116,6 +117,18 @@ def main(argv: list[str]) -> int:
     if (root / PAGE).exists():
         say(f"all together: {root / PAGE}")
     return status
+
+
+def _check_listed(path: Path, campaign: Campaign, *folders: Path) -> None:
+    """Raises UserError: a copy of its file would replace another campaign's of the same name."""
+    for there in (folder / path.name for folder in folders):
+        if there.exists() and not there.samefile(path):
+            lost = set(Campaign.load(there).parts) - set(campaign.parts)
+            if lost:
+                raise UserError(
+                    f"{there} lists {min(lost)} as well, which {path} does not, and would be"
+                    " replaced by it: rename one of them, or use another folder"
+                )
 
 
 def _forecast(comparisons: Sequence[Comparison], seeds: Sequence[int]) -> Iterator[str]:

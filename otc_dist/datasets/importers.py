@@ -42,6 +42,8 @@ def import_files(
     for source in sources:
         if not source.exists():
             raise UserError(f"there is no {source}")
+        if (source / "run.json").exists() or (source.is_dir() and source.name == "deployments"):
+            raise UserError(f"{source} is a folder; a run's logs are RUN/deployments/*.mcap")
     if len(sources) == 1 and is_agent_file(sources[0]):
         if level or env_id:
             flag = "--name" if level else "--env"

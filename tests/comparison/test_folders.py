@@ -84,6 +84,20 @@ def test_results_are_not_kept_in_the_comparison_itself(campaign: list[str], tmp_
     assert not Path(out).exists()
 
 
+@pytest.mark.parametrize("flag", ["--out", "--results"])
+def test_another_campaign_s_file_of_the_same_name_is_not_replaced(
+    campaign: list[str], tmp_path: Path, flag: str
+) -> None:
+    there = tmp_path / "theirs" / "one.toml"
+    there.parent.mkdir()
+    there.write_text(Path(campaign[1]).read_text().replace("parts.one", "parts.two"))
+    words = [*campaign[:3], flag, str(there.parent)]
+    if flag == "--results":
+        words += ["--out", str(tmp_path / "out")]
+    assert f"{there} lists two as well, which {campaign[1]} does not" in refusal(words)
+    assert "parts.two" in there.read_text() and len([*there.parent.iterdir()]) == 1
+
+
 @pytest.mark.parametrize("file", ["run.json", "inputs.json"])
 def test_results_are_not_kept_among_a_run_s_or_another_comparison_s(
     campaign: list[str], tmp_path: Path, file: str

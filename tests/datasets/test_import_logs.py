@@ -237,6 +237,11 @@ def test_bad_values_and_what_is_no_log_are_refused(
     assert "import it alone" in refusal(paths[0], recording, name="x")
     assert "--name" in refusal(recording)
     assert "no whole step" in refusal(log_without_steps(tmp_path / "empty.mcap"))
+    run = tmp_path / "run"
+    (run / "deployments").mkdir(parents=True)
+    (run / "run.json").touch()
+    for folder in (run, run / "deployments"):
+        assert f"{folder} is a folder; a run's logs are" in refusal(folder, name="x")
 
 
 def log_without_steps(path: Path) -> Path:
