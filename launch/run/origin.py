@@ -81,6 +81,8 @@ def _description(root: Path) -> Description:
     """Of a run's folder, or of a seed's in a comparison: there it lies two folders above."""
     above = root.parent.parent / "description.toml"
     own = root / "description.toml"
+    if (root / "seeds").is_dir():
+        raise UserError(f"--from: {root} is a comparison's: name a seed of it, as seeds/seed_00")
     if not own.exists() and root.parent.name == "seeds" and above.exists():
         return Description.load(above)
     if not own.exists():

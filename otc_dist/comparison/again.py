@@ -32,6 +32,12 @@ def is_comparison(root: Path) -> bool:
     return (root / "description.toml").is_file() and (root / "seeds").is_dir()
 
 
+def check(root: Path) -> None:
+    """Raises UserError: it has kept raw scores, of which no page is made again."""
+    if not is_comparison(root) and next(root.glob("seed_*/*.json"), None):
+        raise UserError(f"{root} holds kept raw scores: launch compare --tables {root} shows them")
+
+
 def write_again(found: RunFolder) -> Path:
     """Write comparison.json and comparison.html of all seeds that are complete; the page's path.
 

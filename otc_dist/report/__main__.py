@@ -31,6 +31,7 @@ def main(argv: list[str]) -> int:
     for folder in map(RunFolder, roots):  # a mistake in one before any is written
         if not folder.description.exists():
             raise folder.lacks(folder.description)
+        again.check(folder.root)
     for root in roots:
         write = again.write_again if again.is_comparison(root) else write_report
         say(write(RunFolder(root)))

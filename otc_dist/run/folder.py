@@ -73,6 +73,8 @@ class RunFolder:
 
     def lacks(self, path: Path) -> UserError:
         """That this is no run's folder, since there is no such file in it."""
+        if self.description.exists() and (self.root / "seeds").is_dir():
+            return UserError(f"{self.root} is the folder of a comparison, not of a run")
         return UserError(f"{self.root} is not a run folder: it has no {path.name}")
 
     def deployment(self, k: int) -> Path:

@@ -116,6 +116,20 @@ def test_results_are_not_kept_among_a_run_s_or_another_comparison_s(
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["status"], "is the folder of a comparison, not of a run"),
+        (["--resume"], "is the folder of a comparison, not of a run"),
+        (["3agent_hopper", "--quick", "--from"], "name a seed of it, as seeds/seed_00"),
+    ],
+)
+def test_a_comparison_is_no_run(tmp_path: Path, words: list[str], expected: str) -> None:
+    (tmp_path / "seeds" / "seed_00").mkdir(parents=True)
+    (tmp_path / "description.toml").write_text(_description("seed=0"))
+    assert expected in refusal([*words, str(tmp_path)])
+
+
 def test_a_mechanism_s_status_is_of_a_comparison(tmp_path: Path) -> None:
     (tmp_path / "description.toml").write_text(_description("seed=0"))
     (tmp_path / "run.json").write_text("{}")

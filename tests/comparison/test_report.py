@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from otc_dist.comparison import report, tables
+from otc_dist.comparison import collected, report, tables
 from otc_dist.comparison.arms import Arms
 from otc_dist.comparison.score_statistics import Summary, summarise
 from otc_dist.comparison.scores import ComparisonFolder, Run
@@ -79,6 +79,11 @@ def test_the_report_command_writes_a_comparison_s_page_again(
     folder.report.unlink()
     with pytest.raises(UserError, match="nowhere is not a run folder"):
         report_command([str(folder.root), str(tmp_path / "nowhere")])
+    kept = tmp_path / "kept"
+    collected.keep(folder, arms, SEEDS, kept)
+    with pytest.raises(UserError, match=f"launch compare --tables {kept} shows them"):
+        report_command([str(folder.root), str(kept)])
+    assert not (kept / "report.html").exists()
     assert not folder.report.exists()  # a mistake in one before any is written
     assert report_command([str(folder.root)]) == 0
     assert capsys.readouterr().out == f"{folder.report}\n"
