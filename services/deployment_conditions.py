@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from otc_dist.deployment_log.format import partial_path
 from otc_dist.deployment_log.measuring import read_measured
 from otc_dist.run import recommendation
-from otc_dist.run.measured_returns import Measured, TooFewError, alike
+from otc_dist.run.measured_returns import WITHOUT, Measured, TooFewError, alike
 from otc_dist.system import records
 from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import JointStep
@@ -58,7 +58,7 @@ class DeploymentConditions:
         if self._settings.keep == "best" and not alike(step.rewards):
             raise UserError(
                 "deployment.keep = 'best' needs one reward for all agents, and they got different"
-                f" ones in step {step.step}: use deployment.keep = 'last'"
+                f" ones in step {step.step}: set {WITHOUT}"
             )
 
     def below_floor(self, k: int) -> bool:

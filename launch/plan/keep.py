@@ -47,7 +47,7 @@ def settled(description: Description) -> Description:
     if doubt and deployment.revert:
         raise UserError(
             "deployment.revert needs deployment.keep = 'best', which is not chosen here, as"
-            f" {doubt}: ask for it if you know better"
+            f" {doubt}: set deployment.revert=false, or deployment.keep=best if you know better"
         )
     return description.with_assignments(f"deployment.keep={'last' if doubt else 'best'}")
 
@@ -73,5 +73,5 @@ def check_rewards(description: Description, agents: Sequence[str]) -> None:
         if not np.array_equal(first, rewards(agent)):
             raise UserError(
                 f"deployment.keep = 'best' needs one reward for all agents, and in {dataset.name}"
-                f" {agents[0]} and {agent} got different ones: use deployment.keep = 'last'"
+                f" {agents[0]} and {agent} got different ones: set {measured_returns.WITHOUT}"
             )

@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
+from otc_dist.report.kept import went_back
 from otc_dist.run.folder import RunFolder
 from otc_dist.terminal.amounts import plus_minus
 from otc_dist.terminal.printable import printable, say
@@ -44,6 +45,8 @@ def summary_lines(folder: RunFolder) -> Iterator[str]:
             yield "episodes won, %: " + _change(
                 offline["success"], last["success"], last["deployment"]
             )
+    if back := went_back((row["deployment"], row["reverted_to"]) for row in results["measured"]):
+        yield back
     if results["stopped"] is not None:
         yield f"no more deployments: {results['stopped']['reason']}"
     if results["recommended"] is not None:

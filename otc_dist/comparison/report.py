@@ -1,15 +1,16 @@
 """A comparison as a self-contained page, and as JSON for programs."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 
 from otc_dist.comparison import charts, tables
-from otc_dist.comparison.arms import REFERENCE, Arms
+from otc_dist.comparison.arms import REFERENCE, Arms, describe
 from otc_dist.comparison.conclusion import ENOUGH
 from otc_dist.comparison.score_statistics import Summary
 from otc_dist.comparison.scores import ComparisonFolder, Run, write_json
 from otc_dist.description import Description
 from otc_dist.report import html
+from otc_dist.run.recommendation import reverted
 from otc_dist.system import durable
 from otc_dist.terminal.printable import on_page
 
@@ -69,7 +70,12 @@ def page(
             html.note(bars if count > 1 else alone),
             *_judged(summary),
         ),
-        html.section("Returns", charts.returns(summary), html.note(bands if count > 1 else alone)),
+        html.section(
+            "Returns",
+            charts.returns(summary),
+            html.note(bands if count > 1 else alone),
+            *map(html.note, _went_back(base, arms, runs)),
+        ),
         html.section(
             f"Return minus that of {REFERENCE}, deployment by deployment",
             charts.differences(summary),
@@ -85,6 +91,18 @@ def page(
         ),
     ]
     return html.page(f"Comparison: {base.name}", lead, parts)
+
+
+def _went_back(base: Description, arms: Arms, runs: Mapping[str, Sequence[Run]]) -> Iterator[str]:
+    """Of every arm that may, how often its curve does not go on from the policy before."""
+    for name, found in runs.items():
+        if describe(base, arms[name], base.seed).deployment.revert:
+            told = [one.measured[:k] for one in found for k in range(1, len(one.measured) + 1)]
+            back = sum(reverted([x for x in known if x is not None]) is not None for known in told)
+            yield (
+                f"{name}: after {back} of {len(told)} deployments tuning went back to an earlier"
+                " policy, the best deployed so far (deployment.revert)."
+            )
 
 
 def _judged(summary: Summary) -> list[str]:

@@ -36,7 +36,7 @@ from otc_dist.learner.trainer import Progress
 from otc_dist.otc.samplers.interface import Sampler
 from otc_dist.run.exploration import Schedule
 from otc_dist.run.folder import RunFolder
-from otc_dist.run.measured_returns import Measured, TooFewError, horizon
+from otc_dist.run.measured_returns import ENOUGH, Measured, TooFewError, horizon
 from otc_dist.run.recommendation import reverted
 from otc_dist.system.processor import processor
 from otc_dist.terminal.errors import UserError
@@ -226,7 +226,11 @@ def _revert(
     """
     known = [one for one in measured if one is not None]
     if len(known) < len(measured):
-        raise UserError("deployment.revert needs deployments long enough to be measured")
+        raise UserError(
+            f"deployment.revert needs {ENOUGH} episodes of every deployment, and deployment"
+            f" {deployment} measured none: deploy longer (deployment.transitions, env.copies), or"
+            " set deployment.revert=false"
+        )
     best = reverted(known)
     for learner in learners:
         learner.save(earlier.checkpoint(learner.spec.name, deployment - 1))

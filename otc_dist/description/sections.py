@@ -155,15 +155,22 @@ class DeploymentSection(Section):
     @model_validator(mode="after")
     def _measurable(self) -> Self:
         if self.exploration != "none":
-            asked = ("keep = 'best'", self.keep == "best"), ("floor", self.floor is not None)
-            for what, wanted in asked:
+            asked = (
+                ("keep = 'best'", self.keep == "best", ""),
+                ("floor", self.floor is not None, ""),
+                ("revert", self.revert, ": set deployment.revert=false"),
+            )
+            for what, wanted, way in asked:
                 if wanted:
                     raise ValueError(
                         f"{what} needs exploration = 'none': an agent that explores does not act by"
-                        " its policy, which is then not measured"
+                        f" its policy, which is then not measured{way}"
                     )
         if self.revert and self.keep == "last":
-            raise ValueError("revert needs keep = 'best': it goes back to the best deployed policy")
+            raise ValueError(
+                "revert needs keep = 'best', as it goes back to the best deployed policy: set"
+                " deployment.revert=false"
+            )
         if self.reset_by_hand and self.rate_hz is None:
             raise ValueError("reset_by_hand needs rate_hz: a simulator resets itself")
         return self

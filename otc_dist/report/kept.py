@@ -1,6 +1,6 @@
 """What a run's deployments measured, which policy it recommends, and whether it ended early."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 
 from otc_dist.report import html
@@ -102,6 +102,18 @@ def stopped(run: RunData) -> dict[str, object] | None:
         "floor": floor,
         "measured": found.mean,
     }
+
+
+def went_back(measured: Iterable[tuple[int, int | None]]) -> str:
+    """Which policies come from another than the one before them, in a sentence; "": none does.
+
+    Args:
+        measured: every deployment with what tuning after it went back to (`Estimate.reverted_to`).
+    """
+    pairs = [f"pi_{k} comes from pi_{policy}" for k, policy in measured if policy is not None]
+    if not pairs:
+        return ""
+    return f"Tuning went back to the best policy deployed so far: {', '.join(pairs)}."
 
 
 def named(recommended: Mapping[str, object]) -> str:

@@ -39,10 +39,11 @@ def learning_curve(run: RunData) -> str:
         )
     )
     episodes = run.description.evaluation.episodes
+    back = kept.went_back((row.deployment, row.reverted_to) for row in kept.estimates(run))
     return chart + html.note(
         f"Deployment 0 is the policy trained offline. {episodes} greedy episodes each, apart from"
         " the transitions that the agents learn from. The band is of episodes; one run with one"
-        " seed does not show how much runs differ."
+        f" seed does not show how much runs differ.{' ' * bool(back)}{back}"
     )
 
 

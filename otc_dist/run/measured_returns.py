@@ -16,6 +16,8 @@ from otc_dist.terminal.errors import UserError
 from otc_dist.transitions import Bool, Float32, Float64
 
 ENOUGH = 2  # episodes that an estimate and its standard error need
+# What is set where deployments cannot be compared; a description may say revert of itself.
+WITHOUT = "deployment.keep=last and deployment.revert=false"
 
 
 class TooFewError(UserError):
@@ -95,7 +97,7 @@ def measure(rewards: Float32, terminated: Bool, truncated: Bool, h: int) -> Meas
         raise TooFewError(
             f"to measure its policies a deployment must hold {ENOUGH} episodes that began {h} steps"
             f" before its end, and it holds {len(returns)}: deploy longer"
-            " (deployment.transitions, env.copies), or use deployment.keep = 'last'"
+            f" (deployment.transitions, env.copies), or set {WITHOUT}"
         )
     return Measured(float(np.mean(returns)), float(standard_error(returns)), len(returns))
 

@@ -1,6 +1,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from otc_dist.comparison.scores import ComparisonFolder, Run
 from otc_dist.description import Description
 from otc_dist.envs import registry
 from otc_dist.report.__main__ import main as report_command
+from otc_dist.run.measured_returns import Measured
 from otc_dist.terminal.errors import UserError
 
 from .conftest import SEEDS
@@ -91,6 +93,20 @@ def test_the_report_command_writes_a_comparison_s_page_again(
     folder.results.write_text('{"label": "", "arms": [{"name": "../../elsewhere"}]}')
     with pytest.raises(UserError, match=r"comparison\.json is damaged: arms\.0\.name"):
         report_command([str(folder.root)])
+
+
+def test_the_page_says_how_often_an_arm_went_back(
+    finished: ComparisonFolder, arms: Arms, base: Description
+) -> None:
+    summary, found = read(finished, arms, base, *SEEDS)
+    fell = [Measured(2.0, 0.1, 4), Measured(1.0, 0.1, 4)]
+    runs = {name: [replace(one, measured=fell) for one in own] for name, own in found.items()}
+    back = {name: (*own, "deployment.revert=true") for name, own in arms.items()}
+    one, *others = arms
+    page = report.page(base, {**arms, one: back[one]}, summary, runs)
+    said = f"{one}: after {len(SEEDS)} of {2 * len(SEEDS)} deployments tuning went back to an"
+    assert said in page
+    assert not any(f"{name}: after" in page for name in others)
 
 
 def test_the_text_has_a_row_for_every_policy(

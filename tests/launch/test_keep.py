@@ -74,8 +74,6 @@ SHORT = ("env.copies=1", "deployment.transitions=1")
     [
         ((*SHORT, "deployment.keep=best"), "deployment.keep = 'best' needs 2 episodes"),
         ((*SHORT, "deployment.floor=1"), "deployment.floor needs 2 episodes"),
-        (("env.copies=1", "deployment.revert=true"), "may hold too few episodes"),
-        (("deployment.revert=true", "deployment.keep=last"), "revert needs keep = 'best'"),
         (
             ("deployment.keep=best", "deployment.exploration=sequential"),
             "keep = 'best' needs exploration = 'none'",
@@ -95,6 +93,25 @@ def test_what_cannot_be_kept_is_one_line_before_anything_runs(
     with pytest.raises(UserError) as refused:
         settled(*assignments)
     assert said in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("assignments", "said"),
+    [
+        (("deployment.exploration=sequential",), "revert needs exploration = 'none'"),
+        (("env.copies=1",), "as a deployment may hold too few episodes"),
+        (("deployment.keep=last",), "revert needs keep = 'best'"),
+    ],
+)
+def test_where_a_description_goes_back_and_cannot_the_line_says_what_to_set(
+    assignments: tuple[str, ...], said: str
+) -> None:
+    """Who changes something else may never have heard of deployment.revert."""
+    with pytest.raises(UserError) as refused:
+        settled(*assignments, name="2agent_walker2d")
+    assert said in str(refused.value) and "\n" not in str(refused.value)
+    assert "set deployment.revert=false" in str(refused.value)
+    settled(*assignments, "deployment.revert=false", name="2agent_walker2d")
 
 
 def dry(capsys: pytest.CaptureFixture[str], *assignments: str) -> str:

@@ -87,11 +87,15 @@ def test_nothing_is_stopped_by_a_floor_after_the_last_deployment(made) -> None:
 
 
 def test_where_tuning_went_back_it_is_told_from_where(made) -> None:
-    assert "tuning continued from" not in report(made)[1].text
+    back = "Tuning went back to the best policy deployed so far: pi_3 comes from pi_1."
+    page = report(made)[1].text
+    assert "tuning continued from" not in page and "Tuning went back" not in page
+    assert not any(line.startswith("Tuning went back") for line in summary_lines(made.folder))
     made.describe("deployment.revert=true")
     results, page = report(made)
     assert [row["reverted_to"] for row in results["measured"]] == [None, None, 1]
     assert "tuning continued from" in page.text
+    assert back in page.text and back in summary_lines(made.folder)
 
 
 def test_a_damaged_log_is_told_and_what_lies_before_it_counts(made) -> None:
