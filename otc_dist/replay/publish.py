@@ -196,6 +196,8 @@ def _prepare_learners(
     folder, header = RunFolder(arguments.run), parts[0][0].header
     try:
         if not folder.description.exists():
+            if folder.root.exists() and any(folder.root.iterdir()):
+                raise UserError(f"{folder.root} holds something else: learners need another --run")
             user_code.require(*description.code)  # which those learners would run
             folder.root.mkdir(parents=True, exist_ok=True)
             folder.description.write_text(description.to_toml(), encoding="utf-8")

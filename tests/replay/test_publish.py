@@ -214,6 +214,9 @@ def test_mistakes_are_one_line(log: Path, tmp_path: Path, refused: Refused) -> N
     text = header.description.replace("seed = 0", "seed = 1")
     (tmp_path / "run" / "description.toml").write_text(text)
     assert "the folder of another run" in refused(log, *learners)
+    (tmp_path / "run" / "description.toml").rename(tmp_path / "run" / "run.json")
+    assert "holds something else" in refused(log, *learners)
+    assert (tmp_path / "run" / "run.json").read_text() == text
 
 
 def test_learners_are_not_given_a_deployment_with_gaps(
