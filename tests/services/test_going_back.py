@@ -1,4 +1,4 @@
-"""Models that stay while the policy goes back: by processes that die, and by one that never does."""
+"""Models that stay while the policy goes back: in processes that die, and in one that does not."""
 
 import json
 import signal
