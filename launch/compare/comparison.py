@@ -169,7 +169,7 @@ def carry_out(
         for one in comparisons:
             new.append(held.enter_context(held_folder.opened(one.folder, one.base, one.quick)))
             if one.results is not None:  # a mistake shows before anything runs
-                collected.check(one.folder, one.results)
+                collected.check(one.folder, one.results, one.arms, one.seeds)
         status = _do(root, comparisons, new, queue, whole)
         whole()
         return status

@@ -8,6 +8,7 @@ beside.
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 from otc_dist.comparison import spent
@@ -19,6 +20,7 @@ from otc_dist.comparison.scores import (
     ComparisonFolder,
     Run,
     compact,
+    read_json,
     to_json,
 )
 from otc_dist.envs import registry
@@ -93,11 +95,11 @@ def has_scores(root: Path) -> bool:
     return any(next(root.glob(f"{at}seed_*/{REFERENCE}.json"), None) for at in ("", "seeds/"))
 
 
-def check(folder: ComparisonFolder, root: Path) -> None:
+def check(folder: ComparisonFolder, root: Path, arms: Iterable[str], seeds: Iterable[int]) -> None:
     """See that `keep` can work there, before there is anything to keep; nothing is made.
 
     Raises:
-        UserError: as `keep`.
+        UserError: as `keep`; or scores that another comparison has kept there would be replaced.
     """
     if root.resolve() == folder.root.resolve():
         raise UserError(f"--results {root} is the comparison's own folder: use another --results")
@@ -108,6 +110,13 @@ def check(folder: ComparisonFolder, root: Path) -> None:
         )
     durable.room_for(root)
     _check_same(root / "description.toml", folder.description.read_bytes())
+    for seed, arm in product(seeds, arms):
+        kept, own = root / f"seed_{seed:02d}" / f"{arm}.json", folder.run(seed, arm)
+        if kept.exists() and not (own.exists() and read_json(own) == read_json(kept)):
+            raise UserError(
+                f"{kept} is not from {folder.root}, and would be replaced: use another --results,"
+                " or delete it"
+            )
 
 
 def _check_same(kept: Path, description: bytes) -> None:

@@ -237,6 +237,25 @@ def test_a_quick_look_stays_one_whatever_was_set(
     assert descriptions.QUICK_LABEL not in next(command.lines(collected.collect(folder.root)))
 
 
+def test_scores_that_another_comparison_kept_are_not_replaced(
+    finished: ComparisonFolder, base: Description, arms: Arms, tmp_path: Path
+) -> None:
+    kept, again = tmp_path / "kept", ComparisonFolder(tmp_path / "again")
+    collected.keep(finished, arms, (0,), kept)
+    collected.check(finished, kept, arms, (0, 1))  # it goes on
+    again.root.mkdir()
+    again.description.write_bytes(finished.description.read_bytes())
+    collected.check(again, kept, arms, (1,))  # which adds to them
+    for others in ("not done yet", "done anew"):
+        with pytest.raises(UserError, match="would be replaced: use another --results"):
+            collected.check(again, kept, arms, (0,))
+        shutil.copytree(finished.root / "seeds", again.root / "seeds", dirs_exist_ok=True)
+        if others == "not done yet":
+            collected.check(again, kept, arms, (0,))  # they are the same
+            run = again.run(0, "uniform")
+            run.write_text(run.read_text().replace('"seconds": ', '"seconds": 1'))
+
+
 def test_results_are_kept_apart_from_those_of_another_description(
     finished: ComparisonFolder, base: Description, arms: Arms, tmp_path: Path
 ) -> None:
