@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from otc_dist.algorithms.interface import Improving
 from otc_dist.datasets import store
 from otc_dist.datasets.joint import JointTransitions
 from otc_dist.datasets.names import DatasetName
@@ -41,6 +43,28 @@ def test_the_same_seed_gives_the_same_bytes(name: str) -> None:
         learner.tune(1, online(name, 1), silent)
         digests.append(learner.policy_digest())
     assert digests[0] == digests[1] != digests[2]
+
+
+@EACH
+def test_with_an_earlier_policy_goes_back_all_but_what_is_known_of_the_data(
+    name: str, tmp_path: Path
+) -> None:
+    learner = pretrained(name, "sampling.name=balanced")
+    learner.tune(1, online(name, 1), silent)
+    earlier = learner.policy[1]
+    learner.save(tmp_path / "pi_1")
+    learner.tune(2, online(name, 2), silent)
+    algorithm, newest = learner.policy
+    learner.revert(tmp_path / "pi_1")
+    back, stays = learner.policy[1], {key for key in newest if key.startswith("sampler_")}
+    assert stays and learner.tuned == 2
+    if isinstance(algorithm, Improving):
+        stays |= newest.keys() - set(algorithm.policy_keys)
+    assert back.keys() == newest.keys()
+    for key, value in back.items():
+        assert torch.equal(value, (newest if key in stays else earlier)[key]), key
+    changed = {key for key in newest.keys() - stays if not torch.equal(newest[key], earlier[key])}
+    assert changed  # or nothing was tested
 
 
 @EACH

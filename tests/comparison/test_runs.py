@@ -16,7 +16,7 @@ from otc_dist.comparison.scores import ComparisonFolder, Run, best_of
 from otc_dist.description import Description, user_code
 from otc_dist.learner import checkpoint, learner, team
 from otc_dist.learner.learner import Learner
-from otc_dist.run.measured_returns import Measured
+from otc_dist.run.measured_returns import Measured, TooFewError
 from otc_dist.system.processor import processor
 from otc_dist.terminal.errors import UserError
 
@@ -208,6 +208,18 @@ def test_tuning_goes_back_to_the_best_policy_where_it_is_asked_to(
     first = found.evaluations[0].policies
     assert all({name: first[name]} == one for name, one in zip(first, begun[3:], strict=True))
     assert found.evaluations[1].policies != first
+
+
+def test_a_deployment_that_measures_nothing_to_go_back_by_is_one_line(
+    finished: ComparisonFolder, base: Description, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(steps: object, h: int) -> None:
+        raise TooFewError("too few")
+
+    monkeypatch.setattr(team, "measured", nothing)
+    assignments = (*KNOWN[REFERENCE], "deployment.revert=true")
+    with pytest.raises(UserError, match=r"deployment 1 measured none.*deployment\.revert=false"):
+        runs.run_arm(finished, base, 0, "back", assignments, VERSIONS, silent)
 
 
 @pytest.mark.parametrize(
