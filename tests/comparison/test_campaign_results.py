@@ -267,10 +267,7 @@ PAPER = [name for name in campaign_file.shipped() if name.startswith("paper-")]
 def test_the_paper_s_claims_are_of_arms_that_its_campaigns_have(name: str) -> None:
     campaign = Campaign.load(campaign_file.find(name))
     claimed = {part for figure in campaign.figures for part in figure.parts}
-    assert campaign.seeds == "20..24" and claimed == {*campaign.parts} - {
-        "default",
-        "default-online",
-    }
+    assert campaign.seeds == "20..24" and claimed == {*campaign.parts} - {"default"}
     for one in campaign.comparisons(quick=True):
         (part,) = (key for key in campaign.parts if one.name.endswith(f"-{key}"))
         for figure in campaign.figures:
